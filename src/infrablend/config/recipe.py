@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
@@ -538,12 +538,16 @@ class MetricObject(ObjectKind):
     """A kind of object in `placement.mode: metric`: on the ground, or in the air in front of the camera."""
 
     only_standing: ClassVar[tuple[str, ...]] = ("group", "align", "z_m")
-    only_flying: ClassVar[tuple[str, ...]] = ("range_m",)
+    only_flying: ClassVar[tuple[str, ...]] = ("range_m", "size_px")
 
     z_m: range_of(-100_000, 100_000) = (0.0, 0.0)  # type: ignore[valid-type]
     """Models that stand: height above the ground, metres; a draw below 0 is rejected."""
     range_m: range_of(0.5, 10_000) = (15.0, 60.0)  # type: ignore[valid-type]
     """Models that fly: distance from the camera, metres."""
+    size_px: range_of(1, 10_000) | None = None  # type: ignore[valid-type]
+    """Models that fly: longest side of the object, in pixels of the picture, instead of `range_m`; the distance follows
+    from it and the lens of the picture. Log-uniform: as many from 4 to 8 px as from 8 to 16 px. Boxes are smaller where
+    the object is not seen at right angles to that side."""
     group: Group | None = None
     """Models that stand: place objects of this kind in groups, e.g. `{share: 0.7, apart_m: [0.6, 2.5]}`."""
     align: Align | None = None
@@ -984,6 +988,8 @@ class _Imitation(Strict):
 class Randomise(Strict):
     """Another camera for each picture, inserts and background alike, for detectors whose camera is not known."""
 
+    share: float = Field(1.0, ge=0, le=1)
+    """Share of the pictures that another camera takes; the others stay as they are."""
     blur_px: range_of(0, 5) = (0.0, 0.0)  # type: ignore[valid-type]
     """Sigma of an additional blur, pixels."""
     bloom: range_of(0, 0.5) = (0.0, 0.0)  # type: ignore[valid-type]
@@ -998,6 +1004,13 @@ class Randomise(Strict):
     """Share of the pictures whose polarity is inverted."""
     bits: range_of(2, 8) = (8.0, 8.0)  # type: ignore[valid-type]
     """Bits of the grey levels that are left, a whole number in this range; 8 for all."""
+    vignette_grey: range_of(-100, 100) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Levels by which the corners become brighter (negative: darker) than the middle, 8-bit grey levels."""
+    stripes_grey: range_of(0, 20) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Standard deviation of the offsets of whole columns, 8-bit grey levels."""
+    graphics: float = Field(0.0, ge=0, le=1)
+    """Share of the pictures with burnt-in text, a reticle, a bar of grey levels or dead rows at their edges. They stay
+    clear of all labelled objects."""
 
 
 class Sensor(_Imitation):
@@ -1218,6 +1231,8 @@ class FrameByHand(Strict):
 # ---- Recipe
 
 MAX_CONFIGURATIONS = 1000
+AUTO: Final = "auto"
+"""Value of `configurations` that lets the plan choose the number."""
 LookName = Literal["artistic", "physical", "radiometric"]
 """How temperatures become grey levels; it follows from `appearance.mode` and `matching.mode`."""
 
@@ -1231,8 +1246,10 @@ class _Sections(Strict):
     """Name of the recipe."""
     description: str = ""
     """One sentence on its purpose."""
-    configurations: int = Field(1, ge=1, le=MAX_CONFIGURATIONS)
-    """Scenes per background. Paper: N_config = 2 for HIT-UAV, 1 for MONET."""
+    configurations: Annotated[int, Field(ge=1, le=MAX_CONFIGURATIONS)] | Literal["auto"] = 1
+    """Scenes per background. `auto`: as many as make about 2,000 objects of the first object's class in the usable
+    backgrounds of train, or in all of them where there is no train split; 1 to 16. Not for objects with motion. Paper:
+    N_config = 2 for HIT-UAV, 1 for MONET."""
     empty_share: float = Field(0.0, ge=0, le=1)
     """Share of frames without any insert."""
     data: Data = Data()
@@ -1257,6 +1274,21 @@ class _Sections(Strict):
         if self.overlay.flat and not isinstance(getattr(self, "sensor", None), NoSensor):
             raise ValueError("overlay.flat needs sensor.profile: off")
         return self
+
+    @model_validator(mode="after")
+    def _number_of_sequences(self) -> Self:
+        if self.configurations == AUTO and self.in_sequences:
+            raise ValueError(
+                "configurations: auto counts objects in single pictures, but with objects.N.motion each scene is a "
+                "whole sequence; state a number"
+            )
+        return self
+
+    @property
+    def scenes(self) -> int:
+        """Scenes per background, after planning has made a number of `auto`."""
+        assert self.configurations != AUTO
+        return self.configurations
 
     @property
     def in_sequences(self) -> bool:

@@ -159,9 +159,10 @@ def _evaluation(report: EvaluationReport) -> list[str]:
     classes = metrics["classes"]
     targets = page.target_table(metrics["targets"], classes)
     found_by = page.kind_table(metrics["targets"], "size or visible share")
-    by_class = page.class_table(classes, {"map50_95": "interval"})
-    blocks = [grid(by_class.head, by_class.rows), page.as_one_text(classes["all"]), _titled(targets)]
-    blocks.append(grid(found_by.head, found_by.rows))
+    small = page.small_text(classes)
+    by_class = page.class_table(classes, {"map50_95": "interval"}, map10=bool(small))
+    blocks = [grid(by_class.head, by_class.rows), *([small] if small else []), page.as_one_text(classes["all"])]
+    blocks += [_titled(targets), grid(found_by.head, found_by.rows)]
     if metrics["false_alarms"]["pictures"]:
         blocks.append(_titled(page.alarm_table(metrics["false_alarms"])))
     if tracks := metrics.get("tracks"):

@@ -366,7 +366,7 @@ class _Search:
             u, v = suitable.draw(rng)
         yaw = math.radians(rng.uniform(*kind.yaw_deg))
         above = float(rng.uniform(*kind.z_m))
-        away = float(rng.uniform(*kind.range_m))
+        share = float(rng.random())
         below = ground_point(camera, u, v, self._view.ground_z_m)
         if item.model.stands:
             if below is None:
@@ -376,6 +376,7 @@ class _Search:
             yaw = self._aligned(yaw, item, (float(below[0]), float(below[1])))
             pose = float(below[0]), float(below[1]), self._view.ground_z_m + above, yaw
             return pose if suitable is None or suitable.carries(camera, item, pose) else "unfit_ground"
+        away = _distance_m(item, camera, share)
         if below is not None and away > _BEFORE_GROUND * float(np.linalg.norm(below - camera.position_m)):
             return "beyond_ground"
         place = camera.position_m + away * pixel_ray(camera, u, v)
@@ -446,6 +447,18 @@ def _real_ground(recipe: MetricRecipe, site: Site) -> RealGround | None:
 def _kind(item: PlacementRequest) -> MetricObject:
     """Return the recipe's entry of an object; a recipe of metric placement has no others."""
     return cast(MetricObject, item.kind)
+
+
+def _distance_m(item: PlacementRequest, camera: CameraSpec, share: float) -> float:
+    """Return the distance of a flying object, metres, at a drawn share of its range or of its sizes, in [0, 1)."""
+    kind = _kind(item)
+    if kind.size_px is None:
+        near, far = kind.range_m
+        return float(near + (far - near) * share)
+    small, large = kind.size_px
+    low, high = item.extent_m
+    length_m = float((high - low).max()) * item.scale
+    return camera.focal_px * length_m / float(small * (large / small) ** share)
 
 
 def _rough_box(camera: CameraSpec, pose: Pose, outline_m: FloatArray, scale: float) -> FloatArray:

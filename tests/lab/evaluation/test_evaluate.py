@@ -25,6 +25,7 @@ from infrablend.errors import DatasetError, MissingDependencyError, ModelError, 
 from infrablend.lab.evaluation import evaluate as pipeline
 from infrablend.lab.evaluation.evaluate import evaluate_detector, image_groups, rejected_in
 from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings
+from infrablend.lab.lab_commands import _evaluation
 from tests.samples import with_facts
 
 CLASSES = ("Person", "Car", "OtherVehicle")
@@ -119,7 +120,7 @@ def test_written_files(charts: None, saved: Path, tmp_path: Path) -> None:
     assert low < table["Person"]["map50"] < high
     assert table["OtherVehicle"] == {
         "images": 0, "instances": 0, "p": None, "r": None, "map10": None, "map50": None, "map50_95": None,
-        "ci": None, "found": None, "named": None, "false_alarms": None,
+        "ci": None, "median_px": None, "found": None, "named": None, "false_alarms": None,
     }  # fmt: skip
     assert report.metrics["ultralytics"] is None
     codes = {p.code for p in report.problems}
@@ -179,6 +180,26 @@ def test_bodies_are_measured_in_the_pictures_on_request(charts: None, tmp_path: 
     assert "By longer side of the body, px" in page
     assert "All classes as one: AP50" in page
     assert "body" not in run(found, tmp_path / "again", dataset, bootstrap=0).metrics["strata"]
+
+
+def test_small_objects_have_map10_in_the_terminal_and_on_the_page(saved: Path, tmp_path: Path) -> None:
+    """Objects are 8 to 30 px large; ten times as large, they need no such column."""
+    small = run(saved, tmp_path / "small")
+    why = "Boxes of small objects are inexact (median longer side: Person"
+    page = (tmp_path / "small" / "evaluation.html").read_text()
+    assert why in page and page.index("<th>mAP10</th>") < page.index("<th>mAP50</th>")
+    table, said, *_ = _evaluation(small)
+    assert " mAP10 " in table and said.startswith(why)
+    assert "map10" in small.to_json()["classes"]["Person"] and "map10" in small.to_json()["classes"]["all"]
+    dataset = made_up_dataset(4)
+    images = [replace(i, size_wh=(6400, 5120), instances=tuple(replace(o, box_xyxy=10 * o.box_xyxy)
+              for o in i.instances)) for i in dataset.images]  # fmt: skip
+    large = replace(dataset, images=tuple(images))
+    found = write_predictions(tmp_path / "large.json", replace(found_on(large), sizes_wh={
+        f"{i.split}/{i.name}": (6400, 5120) for i in images}))  # fmt: skip
+    report = run(found, tmp_path / "large", large)
+    assert "mAP10" not in (tmp_path / "large" / "evaluation.html").read_text()
+    assert "mAP10" not in "".join(_evaluation(report))
 
 
 def test_repeated_evaluations_and_saved_detections_give_the_same_bytes(

@@ -26,6 +26,7 @@ from infrablend.lab.evaluation.small_targets import (
     name_objects,
     sizes_by_body,
 )
+from infrablend.lab.pages.evaluation_page import class_table, small_text
 from tests.lab.evaluation.coco_precision import coco_precisions
 
 DRONE, BIRD = 0, 1
@@ -107,6 +108,21 @@ def test_wide_boxes_cost_nothing_at_iou_0_1() -> None:
     rows = figures(one, ["0"], 0, 0)[0]["classes"]
     assert (rows["drone"]["map50"], rows["drone"]["map10"]) == (0, pytest.approx(1))
     assert (rows["bird"]["map10"], rows["all"]["map10"]) == (None, pytest.approx(1))
+
+
+def test_ap10_stands_beside_ap50_where_objects_of_a_class_are_small() -> None:
+    wide = [0, 50, 40, 60]
+    labels = truth([A, [0, 0, 20, 8], wide, [0, 0, 99, 99]], [DRONE, DRONE, BIRD, BIRD], [False] * 3 + [True])
+    rows = figures(case((labels, detections([A, wide], [0.9, 0.8], [DRONE, BIRD]))), ["0"], 0, 0)[0]["classes"]
+    assert {name: row["median_px"] for name, row in rows.items()} == {"all": 20, "drone": 15, "bird": 40}
+    small = small_text(rows)
+    assert "median longer side: drone 15 px)" in small
+    table = class_table(rows, map10=bool(small))
+    assert table.head[5:7] == ["mAP10", "mAP50"] and {row[5] for row in table.rows} == {"0.752", "0.505", "1.000"}
+    only = {name: rows[name] for name in ("all", "bird")}
+    assert small_text(only) == "" and "mAP10" not in class_table(only).head
+    earlier = {name: {k: v for k, v in row.items() if k != "median_px"} for name, row in rows.items()}
+    assert small_text(earlier) == ""  # type: ignore[arg-type]
 
 
 def test_found_objects_are_counted_by_size_and_visible_share() -> None:

@@ -45,6 +45,7 @@ from infrablend.lab.pages.experiment_page import list_differences, page_text
 from infrablend.lab.pages.write_results import write_page
 from infrablend.lab.training.presets import cpu_threads
 from infrablend.lab.training.train_request import TrainRequest
+from infrablend.pipeline.plans import scenes
 from infrablend.pipeline.plans.run_request import Execution
 from tests.weights_files import write_weights
 
@@ -962,6 +963,24 @@ def test_equal_training_from_elsewhere_is_adopted(bench: Bench, data: Path, tmp_
     with pytest.raises(DatasetError) as caught:
         run("hit-uav-drone", data, tmp_path / "fourth", seed=1, adopt={"generate:aligned": generated / "out"})
     assert {p.where for p in caught.value.problems} == {"generate:aligned, seed"}
+
+
+def test_adopted_run_has_the_number_of_scenes_that_the_recipe_chooses(
+    bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = tmp_path / "few.yaml"
+    arm = "{kind: generate, of: hit-uav, recipe: hit-uav-drone, settings: {configurations: auto}, splits: [train]}"
+    mine.write_text(f"{HEAD}data: {{a: {arm}}}\ntrainings: {{t: {{data: a}}}}\n")
+    monkeypatch.setattr(scenes, "WANTED_OBJECTS", 6)
+    run(str(mine), data, tmp_path / "first", only=["generate:a"])
+    made = folder_of(tmp_path / "first", "generate", "a") / "out"
+    assert json.loads((made / "run.json").read_text())["recipe"]["configurations"] == 3  # of two backgrounds
+    adopt = {"generate:a": made}
+    assert run(str(mine), data, tmp_path / "second", adopt=adopt, only=["generate:a"]).status
+    monkeypatch.setattr(scenes, "WANTED_OBJECTS", 3)
+    with pytest.raises(DatasetError) as caught:
+        run(str(mine), data, tmp_path / "third", adopt=adopt, only=["generate:a"])
+    assert [p.where for p in caught.value.problems] == ["generate:a, recipe"]
 
 
 def test_finished_stage_is_not_adopted_and_that_is_reported(

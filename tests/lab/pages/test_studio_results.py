@@ -60,6 +60,23 @@ def test_an_experiment_without_detectors_has_no_table(tmp_path: Path) -> None:
     assert (report.title, report.tables, report.lines[0]) == ("Experiment: datasets", (), "Datasets")
 
 
+def test_tables_of_small_objects_have_map10(tmp_path: Path) -> None:
+    car = {**SCORES, "map10": 0.9}
+    small = {**EVALUATION, "classes": {"Car": {**car, "median_px": 31.5}, "all": car}}
+    (evaluation,) = find_results(
+        written(tmp_path / "run", "run.json", {}), [written(tmp_path / "small", "evaluation.json", small)]
+    ).reports
+    by_class = evaluation.tables[0]
+    assert by_class.head[5:7] == ("mAP10", "mAP50") and by_class.rows[0][5:7] == ("0.900", "0.400")
+    both = {"a": {"classes": {"Car": {**car, "median_px": 32.0}}}, "b": {"classes": small["classes"]}}
+    record = {"experiment": "few", "title": "Few", "scale": "small", "status": "complete", "evaluations": both}
+    written(tmp_path / "pages", "few.json", record).joinpath("few.md").touch()
+    (experiment,) = find_results(tmp_path / "run", [tmp_path / "pages"]).reports
+    table = experiment.tables[0]
+    assert table.head[:2] == ("evaluation", "class") and table.head[6:8] == ("mAP10", "mAP50")
+    assert {row[0]: len(row) for row in table.rows} == dict.fromkeys(("a", "b"), len(table.head))
+
+
 def test_a_run_that_was_removed_is_named(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"run: cannot be read .*opened"):
         find_results(tmp_path / "run")

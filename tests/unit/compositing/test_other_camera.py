@@ -1,5 +1,6 @@
 """A finished picture as another camera shows it."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,7 @@ def test_a_neutral_camera_changes_nothing_and_is_the_default():
     before = picture()
     assert (NEUTRAL.take(before) == before).all()
     drawn = OtherCamera.draw(Randomise(), 1.0, np.random.default_rng(1))
-    assert replace(drawn, noise_seed=7) == NEUTRAL
+    assert replace(drawn, noise_seed=7, vignette_power=2.0) == NEUTRAL
     assert OtherCamera.from_json(drawn.to_json()) == drawn
 
 
@@ -47,6 +48,11 @@ def test_each_step_does_what_it_says(dtype):
     assert bloomed[27] > column[27] + 2 and bloomed[40] < column[40]
     assert replace(camera, halo=1.0).take(before)[20:40, 28].mean() / unit < 95
     assert len(np.unique(replace(camera, bits=4).take(before))) <= 16
+    corners = replace(camera, vignette_grey=-30.0, vignette_power=8.0).take(before).astype(float) / unit
+    assert corners[0, 0] == pytest.approx(before[0, 0] / unit - 30, abs=1)
+    assert corners[32, 28] == pytest.approx(before[32, 28] / unit, abs=1)
+    striped = replace(camera, stripes_grey=9.0).take(before)[:12].astype(float) / unit
+    assert striped.mean(axis=0).std() == pytest.approx(9, rel=0.3) and striped.std(axis=0).mean() < 4
     assert all(replace(camera, gain=2.0).take(before).dtype == dtype for _ in range(2))
 
 
@@ -56,3 +62,30 @@ def test_draws_lie_in_their_ranges_and_repeat():
     assert drawn == [OtherCamera.draw(rules, 1.0, np.random.default_rng(k)) for k in range(60)]
     assert all(0.5 <= c.blur_px <= 1.5 and 0.6 <= c.gain <= 1.6 and 4 <= c.bits <= 8 for c in drawn)
     assert {c.bits for c in drawn} == {4, 5, 6, 7, 8} and 15 < sum(c.inverted for c in drawn) < 45
+
+
+def test_some_pictures_stay_as_they_are():
+    rules = Randomise(share=0.5, gain=(0.5, 0.6))
+    drawn = [OtherCamera.draw(rules, 1.0, np.random.default_rng(k)) for k in range(60)]
+    kept = [c for c in drawn if c.gain == 1.0]
+    assert 15 < len(kept) < 45 and all((c.take(picture()) == picture()).all() for c in kept)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_graphics_stay_clear_of_objects_and_repeat(dtype):
+    before = np.full((256, 320), 100, dtype)
+    objects = np.random.default_rng(1).uniform(0, 1, (12, 4)) * [300, 236, 12, 12]
+    objects[:, 2:] += objects[:, :2] + 2
+    near = np.zeros(before.shape, np.bool_)
+    for x0, y0, x1, y1 in objects:
+        near[max(int(y0) - 1, 0) : int(y1) + 2, max(int(x0) - 1, 0) : int(x1) + 2] = True
+    changed = 0
+    for seed in range(40):
+        camera = replace(NEUTRAL, graphics_seed=seed).clear_of(objects)
+        taken = camera.take(before)
+        assert (taken == OtherCamera.from_json(json.loads(json.dumps(camera.to_json()))).take(before)).all()
+        assert (taken[near] == 100).all()
+        changed += bool((taken != before).any())
+        # Graphics have the sharp edges and extreme levels of what is burnt in, and leave most of the scene.
+        assert (taken != before).mean() < 0.35
+    assert changed > 30

@@ -197,6 +197,28 @@ def test_flying_objects_keep_their_range_in_front_of_the_ground():
     assert near.draws["rejected"].get("beyond_ground", 0) + near.draws["absent"].get("no_place", 0) > 0
 
 
+@pytest.mark.parametrize("lens_mm", [84.69, 2000.0])
+def test_flying_objects_have_the_sizes_that_the_recipe_asks_for_whatever_the_lens(lens_mm):
+    recipe = load_anywhere(
+        "drone-sky",
+        [
+            "objects.0.size_px=[8, 64]", "objects.0.count=3", "camera.pitch={fixed_deg: -20}",
+            f"camera.focal_length_mm={lens_mm}", "placement.size_px=null", "objects.0.options={shape: fixed-wing}",
+        ],
+    )  # fmt: skip
+    sampler = sampler_of(recipe)
+    site = Site(FLAT, (), frozenset(), 2.0)
+    sizes = []
+    for number in range(40):
+        scene = sampler.sample(key(number, -20.0), site)
+        for placed in scene.objects[:3]:
+            vertices = placed.mesh.vertices_m[np.unique(placed.mesh.triangles)]
+            longest_m = float(np.ptp(vertices, axis=0).max()) * placed.spec.scale
+            sizes.append(scene.spec.camera.focal_px * longest_m / placed.range_m)
+    assert len(sizes) > 80 and 7.9 < min(sizes) < 10 and 50 < max(sizes) < 65
+    assert np.median(sizes) == pytest.approx(np.sqrt(8 * 64), rel=0.3)
+
+
 def test_objects_keep_clear_of_labels_and_ignore_regions():
     recipe = load_anywhere("hit-uav-person", ["objects.0.count=6", "camera.calibrate=false"])
     everywhere = [np.array([0.0, 0, 640, 250]), np.array([0.0, 250, 300, 512])]

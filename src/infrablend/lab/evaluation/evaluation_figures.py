@@ -49,6 +49,7 @@ from infrablend.lab.evaluation.small_targets import (
     false_alarms,
     found_and_named,
     found_by_kind,
+    median_sizes,
     sizes_by_body,
 )
 
@@ -110,10 +111,12 @@ def figures(
     alarms = false_alarms(case, {"all": one[0], **dict(zip(names, matches, strict=True))}, confidence)
     overlapping = match_all(case, {"all": SIZE_BINS["all"]}, ious=np.array([FOUND_IOU]))
     at_overlap = drawn_figures(overlapping, once)[0, :, 0]
-    for (name, row), point, ap in zip(rows.items(), [means, *points], at_overlap, strict=True):
+    sizes = median_sizes(case)
+    for (name, row), point, ap, size in zip(rows.items(), [means, *points], at_overlap, sizes, strict=True):
         row["p"] = None if point is None else point[0]
         row["r"] = None if point is None else point[1]
         row["map10"] = None if np.isnan(ap) else float(ap)
+        row["median_px"] = size
         add_target_shares(row, targets[name], alarms["classes"].get(name))
     strata: dict[str, Mapping[str, Stratum]] = {"size": _by_size(case, matches, SIZE_BINS, weights, groups)}
     if bodies_px is not None:

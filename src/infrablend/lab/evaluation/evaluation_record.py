@@ -7,7 +7,7 @@ from typing import Literal, NotRequired, TypedDict
 
 Interval = Sequence[float]
 """The two ends of a 95 % interval."""
-Measure = Literal["images", "instances", "p", "r", "map50", "map50_95"]
+Measure = Literal["images", "instances", "p", "r", "map10", "map50", "map50_95"]
 """A column of the table by class."""
 
 
@@ -15,8 +15,8 @@ class ClassRow(TypedDict):
     """The figures of a class, or of `all`; None where there are no objects.
 
     Rows of strata and of Ultralytics have no measures of small targets, and the row `all` alone has `as_one50` and
-    `as_one50_95`, the AP of all classes taken as one. `found` is a share of the objects, `named` one of those found,
-    and `false_alarms` a number a picture at recall 0.8.
+    `as_one50_95`, the AP of all classes taken as one. `median_px` is the median longer side of the objects. `found` is
+    a share of the objects, `named` one of those found, and `false_alarms` a number a picture at recall 0.8.
     """
 
     images: int
@@ -26,6 +26,7 @@ class ClassRow(TypedDict):
     p: NotRequired[float | None]
     r: NotRequired[float | None]
     map10: NotRequired[float | None]
+    median_px: NotRequired[float | None]
     as_one50: NotRequired[float]
     as_one50_95: NotRequired[float]
     found: NotRequired[float | None]

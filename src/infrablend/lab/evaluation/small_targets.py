@@ -24,6 +24,8 @@ from infrablend.lab.evaluation.evaluation_record import (
 
 # Least overlap of a detection with an object that counts as found: small boxes that are a pixel off share little.
 FOUND_IOU = 0.1
+SMALL_PX = 32.0
+"""Median longer side below which tables of AP50 show AP10, too."""
 # Detections of different classes that share more are one detection; detectors suppress those of one class alike.
 SAME_IOU = 0.7
 RECALL_LEVELS = (0.5, 0.8, 0.9)
@@ -35,6 +37,14 @@ VISIBLE_BINS = {"<0.5": (0.0, 0.5), "0.5-0.8": (0.5, 0.8), ">=0.8": (0.8, float(
 """Half-open ranges of the visible share."""
 NO_BODY_PX = -1.0
 """Size of an object without a measurable body, which is in no range."""
+
+
+def median_sizes(case: Case) -> list[float | None]:
+    """Return the median longer side of all objects and of those of each class, px; None without objects."""
+    of = np.concatenate([t.classes[~t.ignore] for t in case.labels])
+    sizes = np.concatenate([long_sides(t)[~t.ignore] for t in case.labels])
+    parts = [sizes, *(sizes[of == k] for k in range(len(case.classes)))]
+    return [float(np.median(part)) if len(part) else None for part in parts]
 
 
 def as_one_class(case: Case) -> Case:

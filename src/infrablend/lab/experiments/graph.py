@@ -35,6 +35,7 @@ from infrablend.lab.training.presets import Preset
 from infrablend.lab.training.start_weights import AUTO, identify
 from infrablend.lab.training.train_request import choose_preset
 from infrablend.pipeline.datasets.content import content_digest
+from infrablend.pipeline.plans.scenes import about_scenes
 from infrablend.pipeline.storage.fetch import require_source
 
 BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "medium": 1000, "paper": 1000}
@@ -306,7 +307,8 @@ DataInputs = tuple[Mapping[str, Any], dict[str, int]]
 
 def _run_inputs(spec: Generate, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
     recipe = read_recipe(spec.recipe, spec.settings).recipe
-    times = recipe.configurations + int(recipe.output.originals)
+    made = {s: images["of"][s] for s in spec.splits if s in images["of"]}
+    times = about_scenes(recipe, made.get("train") or sum(made.values())) + int(recipe.output.originals)
     own = {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}
     inputs = {
         "recipe": deciding_fields(recipe),
@@ -316,7 +318,7 @@ def _run_inputs(spec: Generate, images: ImagesByRole, request: ExperimentRequest
         "seed": request.seed,
         "renderer": request.renderer,
     }
-    return inputs, {s: images["of"][s] * times for s in spec.splits if s in images["of"]}
+    return inputs, {s: n * times for s, n in made.items()}
 
 
 def _convert_inputs(spec: Convert, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:

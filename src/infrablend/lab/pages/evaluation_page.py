@@ -21,13 +21,16 @@ from infrablend.lab.evaluation.evaluation_record import (
     Targets,
     TrackFacts,
 )
+from infrablend.lab.evaluation.small_targets import SMALL_PX
 from infrablend.lab.pages.stress_page import STRESS_PAGE
 from infrablend.report.charts import COLOURS, curves, legend, matrix, panels, plot_text, png_bytes
 from infrablend.report.figures import decimals, interval
 from infrablend.report.page import Table, render_page
 
-COLUMNS: Final[tuple[Measure, ...]] = ("images", "instances", "p", "r", "map50", "map50_95")
-HEAD = ("class", "images", "instances", "P", "R", "mAP50", "mAP50-95")
+COLUMNS: Final[Mapping[Measure, str]] = {
+    "images": "images", "instances": "instances", "p": "P", "r": "R", "map10": "mAP10", "map50": "mAP50",
+    "map50_95": "mAP50-95",
+}  # fmt: skip
 STRATA = {
     "size": "longer side, px",
     "body": "longer side of the body, px",
@@ -48,18 +51,32 @@ TRACK_MEASURES = {
 # -- tables
 
 
-def class_table(classes: ClassRows, intervals: Mapping[str, str] = {}) -> Table:
+def class_table(classes: ClassRows, intervals: Mapping[str, str] = {}, *, map10: bool = False) -> Table:
     """Return the paper's table: class, images, instances, P, R, mAP50, mAP50-95, and the intervals of some measures.
 
     Args:
         classes: Figures by class.
         intervals: Measure -> head of its column.
+        map10: Whether mAP10 is a column, see `small_text`.
     """
+    columns = {measure: head for measure, head in COLUMNS.items() if map10 or measure != "map10"}
     rows = [
-        [name, *(decimals(row.get(c)) for c in COLUMNS), *(_interval(row.get("ci"), m) for m in intervals)]
+        [name, *(decimals(row.get(c)) for c in columns), *(_interval(row.get("ci"), m) for m in intervals)]
         for name, row in classes.items()
     ]
-    return Table([*HEAD, *intervals.values()], rows)
+    return Table(["class", *columns.values(), *intervals.values()], rows)
+
+
+def small_text(classes: ClassRows) -> str:
+    """Return why mAP10 stands beside mAP50, in words; empty where no class is small."""
+    sizes = {name: row.get("median_px") for name, row in classes.items() if name != "all"}
+    small = ", ".join(f"{name} {size:.0f} px" for name, size in sizes.items() if size is not None and size < SMALL_PX)
+    if not small:
+        return ""
+    return (
+        f"Boxes of small objects are inexact (median longer side: {small}): mAP10, at IoU 0.1, says whether they are "
+        "found"
+    )
 
 
 def _interval(of: Mapping[str, Interval | None] | None, measure: str) -> str:
@@ -232,13 +249,16 @@ def evaluation_page(facts: EvaluationRecord, plots: Mapping[str, bytes]) -> str:
     detector = {key: value for key, value in facts["detector"].items() if key != "classes"}
     classes = facts["classes"]
     alarms = facts["false_alarms"]
+    small = small_text(classes)
+    intervals = {"map50": "mAP50, interval", "map50_95": "mAP50-95, interval"}
     return render_page(
         "evaluation",
         __package__,
         title="Evaluation",
         facts=facts,
         detector=detector,
-        classes=class_table(classes, {"map50": "mAP50, interval", "map50_95": "mAP50-95, interval"}),
+        classes=class_table(classes, intervals, map10=bool(small)),
+        small=small,
         as_one=as_one_text(classes["all"]),
         targets=target_table(facts["targets"], classes),
         found_by=kind_table(facts["targets"], "longer side, visible share"),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from infrablend.detection.detections import RECORD
-from infrablend.lab.pages.evaluation_page import HEAD, STRATA, class_table
+from infrablend.lab.pages.evaluation_page import STRATA, class_table, small_text
 from infrablend.lab.pages.realism_report import score_table
 from infrablend.lab.realism.realism_record import ScoreName
 from infrablend.report.figures import decimals, stratum_order
@@ -51,7 +51,8 @@ def _evaluation(record: Mapping[str, Any], path: Path) -> ResultReport:
         f"confidence of the best mean F1: {decimals(record['confidence'])}",
         *(f"{p['severity']}: {p['where']}: {p['found']}" for p in record["problems"]),
     ]
-    tables = [_shown("By class", class_table(record["classes"]))]
+    by_class = class_table(record["classes"], map10=bool(small_text(record["classes"])))
+    tables = [_shown("By class", by_class)]
     for kind, title in STRATA.items():
         strata = record["strata"].get(kind, {})
         rows = [
@@ -86,8 +87,12 @@ def _realism(record: Mapping[str, Any], path: Path) -> ResultReport | None:
 def _experiment(record: Mapping[str, Any], path: Path) -> ResultReport | None:
     if not isinstance(record, dict) or "experiment" not in record:
         return None
-    rows = [[name, *row] for name, of in record["evaluations"].items() for row in class_table(of["classes"]).rows]
+    classes = {name: of["classes"] for name, of in record["evaluations"].items()}
+    map10 = any(small_text(of) for of in classes.values())
+    by_class = {name: class_table(of, map10=map10) for name, of in classes.items()}
+    rows = [[name, *row] for name, table in by_class.items() for row in table.rows]
     lines = [str(record.get("title") or record["experiment"]), f"scale {record['scale']}, status {record['status']}"]
-    tables = (_shown("Evaluations", Table(["evaluation", *HEAD], rows)),) if rows else ()
+    head = ["evaluation", *next(iter(by_class.values())).head] if rows else []
+    tables = (_shown("Evaluations", Table(head, rows)),) if rows else ()
     pictures = _pictures(path.parent, f"{path.stem}_*.svg")
     return ResultReport(f"Experiment: {path.stem}", path.parent, tuple(lines), tables, pictures)

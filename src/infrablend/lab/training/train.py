@@ -96,7 +96,7 @@ def plan_training(
         with workspace(out, "training", RECORD, "refuse" if existing == "refuse" else "resume", keep=True):
             pass
     wanted, _ = select_training_data(dataset, request)
-    return plan_of(wanted, device, request)
+    return plan_of(wanted, device, request.with_fitting_tiles(wanted))
 
 
 def plan_of(wanted: Dataset, device: str, request: TrainRequest) -> TrainPlan:
@@ -228,11 +228,12 @@ def train_dataset(
         RenderError: The trainer failed; its log gives the reason.
         Interrupted: The user stopped the training; `resume` continues it.
     """
-    preset = request.chosen_preset()
     require_ultralytics()
     device = choose_device(request.device)
-    require_arguments(preset)
+    require_arguments(request.chosen_preset())
     wanted, left_out = select_training_data(dataset, request)
+    request = request.with_fitting_tiles(wanted)
+    preset = request.chosen_preset()
     start_asked, digest = start_weights.identify(request.weights)
     asked: TrainingRecord = {
         "preset": preset.name, "task": request.task, "seed": request.seed, "settings": dataclasses.asdict(preset),

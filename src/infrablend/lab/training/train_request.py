@@ -8,6 +8,7 @@ from typing import Any
 
 from infrablend.config.agc import DEFAULT_AGC, Agc
 from infrablend.core.arguments import require_names
+from infrablend.core.dataset import Dataset
 from infrablend.detection.detections import Task
 from infrablend.errors import OutputError, Problem
 from infrablend.lab.training import start_weights
@@ -15,6 +16,7 @@ from infrablend.lab.training.presets import PRESETS, Preset, PresetName
 
 PRESET_FIELDS = ("model", "image_size", "batch", "epochs", "passes", "patience", "tile", "tiles")
 _LEAST = {"image_size": 1, "batch": 1}
+_STRIDE_PX = 32  # sides of tiles are multiples of the network's stride
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,20 @@ class TrainRequest:
     def chosen_preset(self) -> Preset:
         """Return the preset with `settings` applied; see `choose_preset`."""
         return choose_preset(self.preset, self.settings)
+
+    def with_fitting_tiles(self, dataset: Dataset) -> TrainRequest:
+        """Return the request with tiles that are no larger than most pictures of the dataset, unless it states a size.
+
+        Larger tiles would have a grey border in every picture, always of the same width, which other programs do not
+        add when they show pictures to the detector.
+        """
+        preset = self.chosen_preset()
+        sides = sorted(min(i.size_wh) for i in dataset.images if i.split == "train" and i.size_wh is not None)
+        side = sides[len(sides) // 2] // _STRIDE_PX * _STRIDE_PX if sides else 0
+        if "tile" in self.settings or not 2 * _STRIDE_PX <= side < preset.tile:
+            return self
+        image_size = {"image_size": side} if preset.image_size == preset.tile else {}
+        return replace(self, settings={**image_size, **self.settings, "tile": side})
 
 
 DEFAULT_TRAINING: TrainRequest = TrainRequest()

@@ -57,6 +57,7 @@ class Job:
             last one ended.
         val_images: Number of images the val split must have; 0 if nothing depends on it.
         val_labels: Number of labels the val split must have.
+        picture_px: Longer side of most pictures that tiles were cut from; 0 without tiles.
         agc: Automatic gain control that turned 16-bit pictures into the images, as JSON values; None for 8-bit ones.
     """
 
@@ -77,6 +78,7 @@ class Job:
     val_images: int = 0
     val_labels: int = 0
     tile: int = 0
+    picture_px: int = 0
     agc: Mapping[str, object] | None = None
 
 
@@ -310,15 +312,18 @@ def _train(job: Job, say: Any) -> None:
         if not begun.ended and begun.epochs < job.epochs:
             trainer.train()
     best = out / RUN / "weights" / "best.pt"
+    chosen = best if job.patience and best.is_file() else checkpoint
+    updates = {
+        MARK: {"tile": job.tile, "image_size": job.image_size} | ({} if job.agc is None else {"agc": job.agc}),
+        REACHED: None,
+    }
+    if job.picture_px:
+        # Ultralytics' own commands scale pictures to this size unless they are given another; that of tiles would
+        # make objects smaller than they were in training.
+        arguments = torch.load(chosen, map_location="cpu", weights_only=False)["train_args"]
+        updates["train_args"] = {**arguments, "imgsz": job.picture_px}
     with replace_atomically(out / WEIGHTS) as temporary:
-        torch_utils.strip_optimizer(
-            best if job.patience and best.is_file() else checkpoint,
-            temporary,
-            updates={
-                MARK: {"tile": job.tile, "image_size": job.image_size} | ({} if job.agc is None else {"agc": job.agc}),
-                REACHED: None,
-            },
-        )
+        torch_utils.strip_optimizer(chosen, temporary, updates=updates)
     reached = _read_checkpoint(checkpoint, torch)
     say("end", epochs=reached.epochs, gate=reached.gate, losses=reached.losses,
         batch=reached.batch or min(job.batch, job.images), short_of_memory=reached.short_of_memory,

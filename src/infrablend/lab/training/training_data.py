@@ -227,6 +227,8 @@ def write_training_data(dataset: Dataset, out: Path, request: TrainRequest) -> P
         "losses": dict(written.losses),
     }
     if tiled:
+        sides = sorted(max(i.size_wh) for i in pictures if i.split == "train" and i.size_wh is not None)
+        counts["picture_px"] = sides[len(sides) // 2]
         counts["tiles"] = tiled["train"]
         counts["tiles_val"] = tiled["val"]
     if without_val:

@@ -21,12 +21,13 @@ class PreparedCounts(TypedDict):
     """What was written for the trainer; names with `_val` are of split val, the others of split train.
 
     `pictures` and `objects` (by class) are by split and count whole pictures, `images` and `labels` what is trained on,
-    `tiles` how it was cut. `val` says where the split comes from if the dataset has none. `losses` are those of the
-    label format.
+    `tiles` how it was cut, and `picture_px` the median longer side of the pictures that tiles are from. `val` says
+    where the split comes from if the dataset has none. `losses` are those of the label format.
     """
 
     pictures: Mapping[str, int]
     objects: Mapping[str, Mapping[str, int]]
+    picture_px: NotRequired[int]
     tiles: NotRequired[Mapping[str, int]]
     tiles_val: NotRequired[Mapping[str, int]]
     val: NotRequired[str]

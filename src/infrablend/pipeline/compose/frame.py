@@ -26,7 +26,7 @@ from infrablend.compositing.other_camera import OtherCamera
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor, focus_missed
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import MetricRecipe
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import Instance, boxes_of
 from infrablend.core.frame_row import FrameRecord, Remains
 from infrablend.core.render import PlacedScene, Renderer, RenderResult
 from infrablend.core.rle_masks import Mask
@@ -159,7 +159,8 @@ class FrameComposer:
 
         # Labels, file and record.
         labels = self._labels(picture, canvas)
-        pixels, camera = self._retaken(picture.pixels, canvas.background, frame)
+        objects = [*labels, *frame.background.instances]
+        pixels, camera = self._retaken(picture.pixels, canvas.background, frame, objects)
         image_bytes = encode_image(pixels, canvas.background, self._recipe.output.image)
         record = replace(
             self._record(frame, canvas.background, labels, image_bytes),
@@ -239,7 +240,7 @@ class FrameComposer:
         kind = self._recipe.output.image
         extensions = self._settings.extensions
         background = extensions.load(frame.background)
-        pixels, camera = self._retaken(background.pixels, background, frame)
+        pixels, camera = self._retaken(background.pixels, background, frame, frame.background.instances)
         if camera or extensions.backgrounds is not None or (kind == "png" and path.suffix.lower() != ".png"):
             image_bytes = encode_image(pixels, background, kind)
         else:
@@ -248,9 +249,12 @@ class FrameComposer:
         return ComposedFrame(record, image_bytes, {})
 
     def _retaken(
-        self, pixels: GreyImage, background: Background, frame: PlannedFrame
+        self, pixels: GreyImage, background: Background, frame: PlannedFrame, objects: Sequence[Instance]
     ) -> tuple[GreyImage, dict[str, object]]:
-        """Return a picture as another camera shows it, and that camera for the record; as it is without one."""
+        """Return a picture as another camera shows it, and that camera for the record; as it is without one.
+
+        `objects` are all that have a label in it.
+        """
         rules = self._recipe.sensor.randomise
         if rules is None:
             return pixels, {}
@@ -262,6 +266,7 @@ class FrameComposer:
         camera = OtherCamera.draw(rules, self._grey_unit(background), rng)
         if shown is not None:  # one camera, new noise in each picture
             camera = replace(camera, noise_seed=integer_seed(self._settings.seed, shown.background_id, "camera"))
+        camera = camera.clear_of(boxes_of(objects))
         return camera.take(pixels), {"camera": camera.to_json()}
 
     def _canvas(self, frame: PlannedFrame, background: Background) -> Canvas:

@@ -129,7 +129,7 @@ class Sequences:
         self._models = models
         self._settle = settle
         # The configurations of a frame follow one another, and who trains on frames in memory shuffles them.
-        self._spans = functools.lru_cache(maxsize=max(_KEPT, 4 * recipe.configurations))(self._populate)
+        self._spans = functools.lru_cache(maxsize=max(_KEPT, 4 * recipe.scenes))(self._populate)
         self._text = functools.lru_cache(maxsize=4)(self._written)
 
     @functools.cached_property

@@ -78,12 +78,14 @@ class Trial:
         problems: Warnings about the recipe and the background.
         seconds: Time from the change of a file, or from the start, to the frame.
         labelled_ground: On which kinds of ground the dataset's labelled objects are.
+        scenes: Number of scenes that a run makes of each background.
     """
 
     frame: Frame
     problems: tuple[Problem, ...]
     seconds: float
     labelled_ground: LabelledGround
+    scenes: int
 
     def write(self, out: str | Path) -> Path:
         """Write the frame with its boxes and its enlarged inserts as a PNG; return its path.
@@ -187,7 +189,7 @@ class Trials:
         frame = as_frame(planned, composed, plan.recipe)
         warnings = composed.record.warnings
         seconds = time.perf_counter() - started
-        return Trial(frame, (*loaded.warnings, *warnings), seconds, settings.labelled_ground)
+        return Trial(frame, (*loaded.warnings, *warnings), seconds, settings.labelled_ground, plan.recipe.scenes)
 
     def watch(self) -> Iterator[Trial | InfraBlendError]:
         """Yield the frame, and again whenever a file changes that it depends on; errors are yielded, too."""

@@ -297,7 +297,7 @@ def unknown_by_hand(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Probl
     """Return a warning per frame that the recipe places objects in and that these backgrounds do not have."""
     if not recipe.frames:
         return []
-    known = [f"{i.split}/{i.id}_c{k}" for i in images for k in range(recipe.configurations)]
+    known = [f"{i.split}/{i.id}_c{k}" for i in images for k in range(recipe.scenes)]
     found = "no frame of this dataset has this id"
     return [
         Problem(f"frames.{name}", "frame-unknown", found, f"an id such as {similar(name, known)}", severity="warning")
@@ -321,8 +321,8 @@ def require_ids(recipe: Recipe, images: Sequence[ImageRecord]) -> None:
     """Check that the source's ids can be kept, before the first frame rather than after the last."""
     settings = WriteSettings(ids=recipe.output.ids)
     problems = []
-    if settings.ids == "source" and (recipe.configurations > 1 or recipe.output.originals):
-        found = f"source with {recipe.configurations} configuration(s)"
+    if settings.ids == "source" and (recipe.scenes > 1 or recipe.output.originals):
+        found = f"source with {recipe.scenes} configuration(s)"
         if recipe.output.originals:
             found += " and originals"
         todo = "set output.ids to new, or configurations to 1 and output.originals to false"

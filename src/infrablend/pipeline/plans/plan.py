@@ -96,7 +96,8 @@ class RunPlan:
         ignored: Original names of the categories that mark ignore regions.
         sample: Pictures from which to measure the grey levels of the dataset. They are spread over all pictures read,
             so that a run with a limit gives the same frames as a full run.
-        request: How the backgrounds were read and frames were chosen, for the run record.
+        request: How the backgrounds were read and frames were chosen, for the run record; and under `configurations`,
+            what the plan has made of `configurations: auto`, in words.
         levels: Range of grey levels of the dataset, if it has been measured already.
         shard: Shard that `frames` belongs to; None for a whole run.
         run: Identity of the run, in the records of its frames: a digest of recipe and seed. Shards and parts of a run

@@ -14,7 +14,7 @@ import numpy as np
 from infrablend import __version__
 from infrablend.annotation.classes import ignored_turned_objects, rename_classes
 from infrablend.assets.user_model import description_digest, is_description
-from infrablend.config.recipe import NOT_IN_KEY, Recipe
+from infrablend.config.recipe import AUTO, NOT_IN_KEY, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, fit_name
 from infrablend.core.files import sha256_of_json
@@ -45,6 +45,7 @@ from infrablend.pipeline.plans.left_out import all_in_colour, usable_images
 from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.own_boxes import OwnBoxes, with_measured_boxes
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence, RunPlan
+from infrablend.pipeline.plans.scenes import CHOICE, choose_scenes
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
 from infrablend.pipeline.plans.sequence_motion import VERSION as MOTION_VERSION
 from infrablend.pipeline.plans.sequence_motion import find_motion, motion_problems, sequences_of
@@ -101,13 +102,22 @@ def make_plan(
     require_distinct_classes(recipe, classes, renamed)
     recipe, boxes = with_measured_boxes(recipe, classes, own_boxes or OwnBoxes(dataset))
 
+    stands = all(m.stands for m in models.values())
+    request: dict[str, object] = {}
+    if recipe.configurations == AUTO:
+        # Of all backgrounds, so that a choice of frames gives those of a full run.
+        of_all, _ = usable_images(recipe, renamed, renamed.images, stands)
+        scenes = choose_scenes(recipe, classes, of_all)
+        recipe = recipe.model_copy(update={"configurations": scenes.number})
+        if selection.pictures is None:
+            part = "" if selection == ALL_FRAMES else "as in a run of all frames: "
+            request = {CHOICE: part + scenes.describe()}
     names = frame_names(renamed.images, recipe)
     images = selection.backgrounds(renamed.images, seed)
     chosen = None
     if selection.frames is not None:
         chosen = find_frames(selection.frames, renamed.images, names)
         images = _images_of(chosen, images)
-    stands = all(m.stands for m in models.values())
     height = height_problems(recipe, timed.images) if any(m.stands for m in models.values()) else []
     usable, left_out = usable_images(recipe, renamed, images, stands)
     problems = [
@@ -132,7 +142,7 @@ def make_plan(
     frames = [
         PlannedFrame(image, k, as_read[id(image)], names[id(image), k])
         for image in usable
-        for k in _configurations(recipe.output.originals, recipe.configurations)
+        for k in _configurations(recipe.output.originals, recipe.scenes)
         if chosen is None or (id(image), k) in chosen
     ]
     sequences: dict[str, PlannedSequence] = {}
@@ -157,6 +167,7 @@ def make_plan(
         ignored=tuple(c.name for c in timed.categories if c.ignore),
         sample=renamed.images[:: max(1, len(renamed.images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE],
         run=sha256_of_json([{**key["recipe"], "description": None}, seed])[:16],
+        request=request,
         sequences=sequences,
         boxes=boxes,
     )
@@ -234,7 +245,7 @@ def frame_names(images: Sequence[ImageRecord], recipe: Recipe) -> dict[tuple[int
     """
     names: dict[tuple[int, int | None], str] = {}
     originals = recipe.output.originals
-    count = recipe.configurations
+    count = recipe.scenes
 
     def name_of(i: ImageRecord, k: int | None) -> str:
         name = fit_name(i.id)

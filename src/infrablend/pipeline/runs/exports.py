@@ -89,7 +89,7 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
         rows.append(FrameRow.of(record))
         removed += [{"frame_id": record.frame_id, **r} for r in record.removed if r["reason"] == "covered"]
     loosened, looseness = 0, Looseness.of_labels(plan.recipe.labels)
-    several = bool(plan.sequences) and (plan.recipe.configurations > 1 or plan.recipe.output.originals)
+    several = bool(plan.sequences) and (plan.recipe.scenes > 1 or plan.recipe.output.originals)
 
     def labelled() -> Iterator[ImageRecord]:
         nonlocal loosened

@@ -22,6 +22,7 @@ from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.planning import plan_folder
 from infrablend.pipeline.plans.run_request import RunRequest
+from infrablend.pipeline.plans.scenes import scenes_fact
 from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.plans.times import TIME_REPLACED
 from infrablend.pipeline.runs.forecast import described_sources, estimate_run, forecast_objects
@@ -74,6 +75,7 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
     expected, absent = forecast_objects(plan)
     return {
         **estimate_run(plan, request.execution.worker_count(), shards, price_per_core_hour),
+        **dict(scenes_fact(plan.request)),
         "device": request.execution.device,
         "out": None if request.out is None or wanted else outlook(request.out, request.existing),
         "categories": [c.name for c in plan.categories],
@@ -137,7 +139,7 @@ def plan_request(request: RunRequest) -> RunPlan:
             "if given, contain val",
             left_out,
         )
-    return replace(plan, request=_recorded(request, loaded.warnings))
+    return replace(plan, request={**_recorded(request, loaded.warnings), **plan.request})
 
 
 def _recorded(request: RunRequest, warnings: Sequence[Problem]) -> dict[str, object]:

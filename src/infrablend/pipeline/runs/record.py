@@ -34,6 +34,7 @@ from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.planning import plan_folder
 from infrablend.pipeline.plans.run_request import Execution
+from infrablend.pipeline.plans.scenes import scenes_fact
 from infrablend.pipeline.plans.selection import FrameSelection
 from infrablend.pipeline.runs.exports import LabelSummary
 from infrablend.pipeline.storage.store import origin_of
@@ -266,6 +267,7 @@ def _run_facts(root: Path, record: RunRecord, frames: Sequence[FrameRow], exclud
         version=str(record["infrablend"]),
         made=(
             ("backgrounds", f"{data.get('backgrounds', 0)} pictures, format {data.get('format', 'unknown')}"),
+            *scenes_fact(record.get("request", {})),
             ("seed", str(record.get("seed", ""))),
             ("label formats", ", ".join(record.get("formats", ()))),
             *((("boxes", boxes),) if (boxes := record.get("boxes")) else ()),

@@ -14,6 +14,7 @@ from infrablend.errors import Problem
 from infrablend.formats.pictures.temperature_scale import describe_scales
 from infrablend.pipeline.datasets.origin import invalid_texts, origin_of, renamed_texts, run_inserts
 from infrablend.pipeline.plans.plan import RunPlan
+from infrablend.pipeline.plans.scenes import scenes_fact
 from infrablend.report.card import Card
 
 REMOVAL_TEXTS: Mapping[RemovalReason, str] = {
@@ -52,6 +53,7 @@ def run_card(
         layout=_layout(plan),
         made=(
             ("recipe", f"`{recipe.name}`" + (f", {recipe.description}" if recipe.description else "")),
+            *scenes_fact(plan.request),
             ("seed", str(plan.seed)),
             *((name, counts[name]) for name in ("weather",) if name in counts),
             ("all settings, versions and counts", f"`{RUN_FILE}`; `infrablend rerender` renders a single frame again"),

@@ -508,8 +508,8 @@ class TunePage:
         self._image.classes(remove="stale")
         self._problems = ()
         self._mark()
-        self._configurations.set_visibility(tuned.recipe.configurations > 1)
-        self._configurations.max = tuned.recipe.configurations - 1
+        self._configurations.set_visibility(tuned.trial.scenes > 1)
+        self._configurations.max = tuned.trial.scenes - 1
         self._configurations.value = self._configuration
         self._show_picture()
         self._state.set_text(f"{tuned.trial.frame.id}, {tuned.trial.seconds:.2f} s")
