@@ -19,6 +19,10 @@ from infrablend.core.strict_model import Strict
 PerClass = float | Mapping[str, float]
 """One value for all classes, or one per class; classes that are not listed keep their boxes."""
 
+BySize = Literal["by_size"]
+BY_SIZE: BySize = "by_size"
+"""In place of a distance: the one that `margin_by_size` gives."""
+
 Fit = Literal["shape", "visible"]
 
 LOOSENED = "boxes_loosened"
@@ -26,6 +30,14 @@ LOOSENED = "boxes_loosened"
 
 COUNTS = (LOOSENED, "boxes_fit", "loosened_by", "loosened_by_px")
 """Names of all counts in records that tell of changed boxes."""
+
+TYPICAL_MARGINS = ((8.0, 2.0), (11.0, 3.0), (37.5, 3.0), (1000.0, 80.0))
+"""Longer side of an object and the margin that people leave on each of its sides, px, with straight lines between.
+
+Measured: 3 px in clips of Anti-UAV at 11 to 22 px, 4.3 px in Halmstad's backgrounds at 8 to 60 px, and in HIT-UAV a
+factor of 1.2 around people and of 1.16 around what is visible of cars, which is 0.08 to 0.1 of a side.
+"""
+TYPICAL_TEXT = "2 px on each side up to a size of 8 px, 3 px from 11 to 37 px, and 0.08 of the longer side beyond"
 
 _LEAST_PX = 1e-9  # shorter movements are rounding errors
 
@@ -36,12 +48,14 @@ class Looseness:
 
     Attributes:
         loosen: Factor of at least 1 on width and height.
-        loosen_px: Distance, px, by which each side moves outwards after that.
+        loosen_px: Distance, px, by which each side moves outwards after that; or `by_size`, see `margin_by_size`.
+        loosen_obb: Whether this changes oriented boxes, too; None counts as yes.
         fit: What they are drawn around before that: the object's `shape`, or what is `visible` of it.
     """
 
     loosen: PerClass = 1.0
-    loosen_px: PerClass = 0.0
+    loosen_px: PerClass | BySize | Mapping[str, float | BySize] = 0.0
+    loosen_obb: bool | None = None
     fit: Fit = "shape"
 
     @classmethod
@@ -58,7 +72,7 @@ class Looseness:
         counts: dict[str, object] = {} if self.fit == "shape" else {"boxes_fit": self.fit}
         if any(v > 1 for v in _values(self.loosen)):
             counts["loosened_by"] = self.loosen
-        if any(v > 0 for v in _values(self.loosen_px)):
+        if any(v != 0 for v in _values(self.loosen_px)):
             counts["loosened_by_px"] = self.loosen_px
         return counts
 
@@ -66,8 +80,8 @@ class Looseness:
         """Return `boxes_loosened`, the number of changed boxes, and `to_counts`; nothing without a looseness."""
         return {LOOSENED: changed, **self.to_counts()} if self else {}
 
-    def of(self, category: str) -> tuple[float, float]:
-        """Return the factor and the distance, px, of a class."""
+    def of(self, category: str) -> tuple[float, float | BySize]:
+        """Return the factor and the distance, px, or `by_size`, of a class."""
         factor = self.loosen.get(category, 1.0) if isinstance(self.loosen, Mapping) else self.loosen
         px = self.loosen_px.get(category, 0.0) if isinstance(self.loosen_px, Mapping) else self.loosen_px
         return factor, px
@@ -92,10 +106,9 @@ def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
     instances = []
     count = 0
     for one in image.instances:
-        factor, px = by.of(one.category)
         fitted = by.fit == "visible" and SEEN_BOX in one.extra
-        if one.inserted and (factor > 1 or px > 0 or fitted) and image.size_wh is not None:
-            one = _loosened(one, factor, px, image.size_wh, fitted)
+        if one.inserted and (by.of(one.category) != (1, 0) or fitted) and image.size_wh is not None:
+            one = _loosened(one, by, image.size_wh, fitted)
             count += 1
         instances.append(one)
     return replace(image, instances=tuple(instances)), count
@@ -121,7 +134,7 @@ def looseness_text(counts: Mapping[str, Any]) -> str:
         by_class = isinstance(factors, Mapping)
         parts.append(f"the factors {_listed(factors, 1)}" if by_class else f"the factor {factors:g}")
     if (px := counts.get("loosened_by_px")) is not None:
-        parts.append(f"{_listed(px, 0) if isinstance(px, Mapping) else f'{px:g}'} px on each side")
+        parts += _distances(px)
     enlarged = f"enlarged by {' and '.join(parts)}" if parts else ""
     return " and ".join(p for p in (fit, enlarged) if p)
 
@@ -149,15 +162,30 @@ def _tightened(one: Instance, fitted: bool) -> Instance:
     return replace(one, box_xyxy=np.array([x, y, x + w, y + h]), corners_xy=corners, extra=extra)
 
 
-def _values(of: PerClass) -> list[float]:
+def margin_by_size(longer_px: float) -> float:
+    """Return the margin, px, that people leave on each side of an object, by its longer side."""
+    sizes, margins = np.array(TYPICAL_MARGINS).T
+    return float(np.interp(longer_px, sizes, margins))
+
+
+def _values(of: Any) -> list[Any]:
     return list(of.values()) if isinstance(of, Mapping) else [of]
+
+
+def _distances(px: float | BySize | Mapping[str, float | BySize]) -> list[str]:
+    if not isinstance(px, Mapping):
+        return ["a margin by size" if px == BY_SIZE else f"{px:g} px on each side"]
+    stated = _listed({k: v for k, v in px.items() if v != BY_SIZE}, 0)
+    sized = ", ".join(sorted(k for k, v in px.items() if v == BY_SIZE))
+    texts = (f"{stated} px on each side" if stated else "", f"a margin by size ({sized})" if sized else "")
+    return [text for text in texts if text]
 
 
 def _listed(of: Mapping[str, float], nothing: float) -> str:
     return ", ".join(f"{k} {v:g}" for k, v in sorted(of.items()) if v != nothing)
 
 
-def _loosened(one: Instance, factor: float, px: float, size_wh: tuple[int, int], fitted: bool) -> Instance:
+def _loosened(one: Instance, by: Looseness, size_wh: tuple[int, int], fitted: bool) -> Instance:
     x0, y0, x1, y1 = one.box_xyxy.tolist()
     exact: dict[str, list[float]] = {TIGHT_BOX: [x0, y0, x1 - x0, y1 - y0]}
     corners = one.corners_xy
@@ -168,9 +196,11 @@ def _loosened(one: Instance, factor: float, px: float, size_wh: tuple[int, int],
         x1, y1 = x0 + w, y0 + h
         if corners is not None and SEEN_OBB in one.extra:
             corners = np.reshape(np.asarray(one.extra[SEEN_OBB], np.float64), (4, 2))
+    factor, distance = by.of(one.category)
+    px = margin_by_size(max(x1 - x0, y1 - y0)) if distance == BY_SIZE else distance
     outwards = np.array([-1.0, -1, 1, 1])
     margin = outwards * (np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0]) * (factor - 1) / 2 + px)
-    if corners is not None:
+    if corners is not None and by.loosen_obb is not False:
         corners = loosen_rectangle(corners, factor, size_wh, px)
     box = clip_boxes(np.array([x0, y0, x1, y1]) + margin, size_wh)
     return replace(one, box_xyxy=box, corners_xy=corners, extra={**one.extra, **exact})

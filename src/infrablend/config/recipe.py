@@ -1102,6 +1102,10 @@ LooseFactor = Annotated[float, Field(ge=1, le=MAX_LOOSEN)]
 LoosePx = Annotated[float, Field(ge=0, le=MAX_LOOSEN_PX)]
 
 
+def _exact_is_one(loosen: Any) -> Any:
+    return 1.0 if loosen == "exact" else loosen
+
+
 class Labels(Strict):
     """Which labels are written."""
 
@@ -1122,13 +1126,21 @@ class Labels(Strict):
     finished picture, as people draw them; parts at the level of the ground are left out. Sides of the box that a
     structure of the background hides follow `occluded_box`. Masks stay as they are; COCO and the frame records also
     have the box of the shape."""
-    loosen: LooseFactor | dict[ClassName, LooseFactor] = 1.0
+    loosen: Annotated[
+        Literal["auto", "exact"] | LooseFactor | dict[ClassName, LooseFactor], AfterValidator(_exact_is_one)
+    ] = 1.0
     """Factor by which to enlarge the boxes of inserted objects in all label formats, within the frame, to match
     hand-drawn boxes: one for all classes, or one per class such as `{Person: 1.15}` (1 for the others). Masks stay as
-    they are; COCO and the frame records also have the exact boxes."""
-    loosen_px: LoosePx | dict[ClassName, LoosePx] = 0.0
+    they are; COCO and the frame records also have the exact boxes. `exact` is 1. With `auto`, the run begins by
+    measuring the boxes that people drew in the dataset, and takes their factor or their margin, by class; its record
+    states both. Classes with a distance in `loosen_px` have that one instead."""
+    loosen_px: LoosePx | Literal["by_size"] | dict[ClassName, LoosePx | Literal["by_size"]] = 0.0
     """Distance, px, by which each side of these boxes moves outwards, after `loosen` and in the same formats: for
-    annotators whose margin does not depend on the size of the object."""
+    annotators whose margin does not depend on the size of the object. `by_size`: what people leave on average, 2 px
+    around objects of up to 8 px, 3 px from 11 to 37 px, and 0.08 of the longer side beyond."""
+    loosen_obb: bool | None = None
+    """Whether `loosen` and `loosen_px` enlarge oriented boxes, too. By default they do, but for `loosen: auto`, which
+    leaves those exact."""
     occluded_box: Literal["visible", "amodal"] = "visible"
     """Boxes of objects that structures of the background hide in part: around the `visible` part, or `amodal`, as if
     nothing were in front. COCO contains both."""

@@ -65,6 +65,7 @@ class RunRecord(TypedDict, total=False):
     data: DataFacts
     request: Mapping[str, Any]
     shard: str
+    boxes: str
     categories: Sequence[CategoryFacts]
     frames: int
     machine: Mapping[str, Any]

@@ -9,7 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from infrablend.annotation.looseness import Looseness, is_loosened, loosen_inserted, loosen_rectangle, tighten_image
+from infrablend.annotation.looseness import (
+    Looseness,
+    is_loosened,
+    loosen_inserted,
+    loosen_rectangle,
+    looseness_text,
+    margin_by_size,
+    tighten_image,
+)
+from infrablend.config.loading import load_recipe
 from infrablend.core.boxes import corners_of_box, smallest_rectangle_inside
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.rle_masks import Mask
@@ -109,6 +118,40 @@ def test_near_a_border_the_sides_share_what_room_there_is():
     np.testing.assert_allclose(loose[0], [0, 40], atol=1e-9)
     np.testing.assert_allclose(loose[1], [21 + 4 * np.sqrt(0.5), 19 - 4 * np.sqrt(0.5)], atol=1e-9)
     np.testing.assert_allclose(loose[2], [42 + 4 * np.sqrt(2), 40], atol=1e-9)
+
+
+@pytest.mark.parametrize(("longer_px", "margin_px"), [(3, 2), (8, 2), (9.5, 2.5), (11, 3), (32, 3), (50, 4), (200, 16)])
+def test_the_margin_that_people_leave_grows_with_the_object(longer_px, margin_px):
+    assert margin_by_size(longer_px) == pytest.approx(margin_px, rel=0.01)
+
+
+def test_margins_by_size_follow_the_box_that_is_enlarged():
+    small, large = (Instance("drone", np.array([20.0, 20, 20 + w, 26]), inserted=True) for w in (6, 11))
+    image = ImageRecord("a", Path("a.png"), "train", WH, (small, large))
+    by = Looseness(loosen_px={"drone": "by_size"})
+    (loose,), count = loosen_inserted([image], by)
+    assert count == 2
+    assert [i.box_xyxy.tolist() for i in loose.instances] == [[18, 18, 28, 28], [17, 17, 34, 29]]
+    assert looseness_text(by.to_counts()) == "enlarged by a margin by size (drone)"
+    assert looseness_text(Looseness(loosen_px="by_size").to_counts()) == "enlarged by a margin by size"
+    mixed = Looseness(loosen_px={"drone": "by_size", "bird": 4.5, "kite": 0.0})
+    assert looseness_text(mixed.to_counts()) == "enlarged by bird 4.5 px on each side and a margin by size (drone)"
+
+
+@pytest.mark.parametrize("fit", ["shape", "visible"])
+def test_oriented_boxes_may_stay_exact(fit):
+    box = np.array([20.0, 30, 40, 40])
+    person = Instance("Person", box, corners_of_box(box), inserted=True)
+    image = ImageRecord("a", Path("a.png"), "train", WH, (person,))
+    (loose,), _ = loosen_inserted([image], Looseness(1.5, loosen_obb=False, fit=fit))
+    np.testing.assert_allclose(loose.instances[0].box_xyxy, [15, 27.5, 45, 42.5])
+    np.testing.assert_array_equal(loose.instances[0].corners_xy, person.corners_xy)
+    np.testing.assert_array_equal(tighten_image(loose).instances[0].box_xyxy, box)
+
+
+def test_exact_is_a_factor_of_one():
+    assert load_recipe("hit-uav-people", ["labels.loosen=exact"]).labels.loosen == 1.0
+    assert load_recipe("hit-uav-people").labels.loosen == "auto" and load_recipe("hit-uav-drone").labels.loosen == 1.0
 
 
 @pytest.mark.parametrize("factor", [1.2, 2.0])

@@ -28,6 +28,7 @@ from infrablend.pipeline.compose.frame_worker import FrameWorkers
 from infrablend.pipeline.compose.settings import FrameSettings, settings_for
 from infrablend.pipeline.plans.backgrounds import dataset_levels
 from infrablend.pipeline.plans.labelled_height import require_height
+from infrablend.pipeline.plans.own_boxes import OwnBoxes
 from infrablend.pipeline.plans.plan import PlannedFrame
 from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, Settings
@@ -137,7 +138,7 @@ class Frames:
             dataset = dataset_folder.read(source, reading_for(loaded.recipe, request.reading, source))
         self._plan = make_plan(
             loaded.recipe, dataset, request.seed, splits=request.reading.splits, selection=request.selection,
-            recipe_warnings=loaded.warnings,
+            recipe_warnings=loaded.warnings, own_boxes=OwnBoxes(dataset, extensions.load),
         )  # fmt: skip
         levels = dataset_levels(self._plan, extensions.load) if self._plan.needs_levels else None
         self._settings = settings_for(self._plan, levels, request.execution, extensions=extensions)

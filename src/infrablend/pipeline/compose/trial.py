@@ -28,6 +28,7 @@ from infrablend.pipeline.compose.frame_worker import FrameWorkers
 from infrablend.pipeline.compose.memory_frames import Frame, as_frame
 from infrablend.pipeline.compose.settings import settings_for
 from infrablend.pipeline.plans.backgrounds import dataset_levels
+from infrablend.pipeline.plans.own_boxes import OwnBoxes
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.run_request import ONE_WORKER, Execution, Settings
@@ -148,7 +149,7 @@ class Trials:
         self._workers = FrameWorkers(request.execution)
         if not request.execution.in_process:
             self._workers.start()
-        self._read: tuple[Any, Dataset] | None = None
+        self._read: tuple[Any, Dataset, OwnBoxes] | None = None
         self._levels: tuple[Dataset, tuple[float, float]] | None = None
         self._recipe: Recipe | None = None
         self._picture: Path | None = None
@@ -174,10 +175,13 @@ class Trials:
         self._recipe = loaded.recipe
         reading = reading_for(loaded.recipe, request.reading, request.data)
         if self._read is None or self._read[0] != reading:
-            self._read = reading, dataset_folder.read(request.data, reading)
-        dataset = self._read[1]
+            read = dataset_folder.read(request.data, reading)
+            self._read = reading, read, OwnBoxes(read)
+        _, dataset, boxes = self._read
         selection = ALL_FRAMES if request.frame is None else FrameSelection(frames=[request.frame])
-        plan = make_plan(loaded.recipe, dataset, request.seed, splits=request.reading.splits, selection=selection)
+        plan = make_plan(
+            loaded.recipe, dataset, request.seed, splits=request.reading.splits, selection=selection, own_boxes=boxes
+        )
         planned = _frame_of(plan)
         self._picture = planned.background.path
         settings = settings_for(plan, self._levels_of(plan, dataset), request.execution)

@@ -113,11 +113,12 @@ def background_facts(source: ImageRecord, background: Background, data_root: Pat
 Load = Callable[[ImageRecord], Background]
 
 
-def _load_file(image: ImageRecord) -> Background:
+def load_file(image: ImageRecord) -> Background:
+    """Return the picture of an image's file."""
     return load_background(image.path, image.size_wh)
 
 
-def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float]:
+def dataset_levels(plan: RunPlan, load: Load = load_file) -> tuple[float, float]:
     """Return the darkest and brightest grey level of the dataset, measured on at most 64 evenly spread pictures.
 
     Raises:

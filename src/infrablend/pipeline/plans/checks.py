@@ -311,7 +311,7 @@ def require_loosened(recipe: Recipe, inserted: Collection[str]) -> None:
     faults = [
         Problem(name, "recipe-value", f"found {', '.join(unknown)}", expected)
         for name, given in (("labels.loosen", recipe.labels.loosen), ("labels.loosen_px", recipe.labels.loosen_px))
-        if not isinstance(given, float) and (unknown := sorted(set(given) - set(inserted)))
+        if isinstance(given, Mapping) and (unknown := sorted(set(given) - set(inserted)))
     ]
     if faults:
         raise RecipeError(f"recipe {recipe.name}: no such inserted class", faults)

@@ -103,6 +103,7 @@ class RunPlan:
         run: Identity of the run, in the records of its frames: a digest of recipe and seed. Shards and parts of a run
             have that of the whole.
         sequences: Sequences by name, if the recipe's objects move through them.
+        boxes: How loosely boxes are drawn and why, in sentences, where the recipe asked for `labels.loosen: auto`.
     """
 
     recipe: Recipe
@@ -121,6 +122,7 @@ class RunPlan:
     shard: Shard | None = None
     run: str = ""
     sequences: Mapping[str, PlannedSequence] = field(default_factory=dict)
+    boxes: str = ""
 
     @property
     def needs_levels(self) -> bool:

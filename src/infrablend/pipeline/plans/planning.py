@@ -43,6 +43,7 @@ from infrablend.pipeline.plans.checks import (
 from infrablend.pipeline.plans.labelled_height import height_problems
 from infrablend.pipeline.plans.left_out import all_in_colour, usable_images
 from infrablend.pipeline.plans.models import ready_model
+from infrablend.pipeline.plans.own_boxes import OwnBoxes, with_measured_boxes
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence, RunPlan
 from infrablend.pipeline.plans.scenes import CHOICE, choose_scenes
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
@@ -76,8 +77,11 @@ def make_plan(
     splits: Sequence[str] | None = None,
     selection: FrameSelection = ALL_FRAMES,
     recipe_warnings: Sequence[Problem] = (),
+    own_boxes: OwnBoxes | None = None,
 ) -> RunPlan:
     """Return the plan of a run on the backgrounds of the requested splits, which `splits` names in messages only.
+
+    `own_boxes` are those of the dataset, where they have been measured before or its pictures are not files.
 
     Raises:
         ArgumentError: The selection names a frame that does not exist.
@@ -96,6 +100,7 @@ def make_plan(
     renamed = rename_classes(timed, recipe.labels.rename)
     require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), renamed)
     require_distinct_classes(recipe, classes, renamed)
+    recipe, boxes = with_measured_boxes(recipe, classes, own_boxes or OwnBoxes(dataset))
 
     stands = all(m.stands for m in models.values())
     request: dict[str, object] = {}
@@ -164,6 +169,7 @@ def make_plan(
         run=sha256_of_json([{**key["recipe"], "description": None}, seed])[:16],
         request=request,
         sequences=sequences,
+        boxes=boxes,
     )
 
 

@@ -81,6 +81,7 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
         **described_sources(plan),
+        **({"boxes": plan.boxes} if plan.boxes else {}),
         **{f"expected_{name}": value for name, value in expected.items()},
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
         "kept_fields": [str(p) for p in plan.problems if p.code in shown],

@@ -194,6 +194,7 @@ def record_header(plan: RunPlan, execution: Execution) -> RunRecord:
         },
         **({"request": dict(plan.request)} if plan.request else {}),
         **({} if plan.shard is None else {"shard": str(plan.shard)}),
+        **({"boxes": plan.boxes} if plan.boxes else {}),
         "categories": [
             {"id": c.id, "name": c.name, "new": c.name in plan.new_categories, "ignore": c.ignore}
             for c in plan.categories
@@ -269,6 +270,7 @@ def _run_facts(root: Path, record: RunRecord, frames: Sequence[FrameRow], exclud
             *scenes_fact(record.get("request", {})),
             ("seed", str(record.get("seed", ""))),
             ("label formats", ", ".join(record.get("formats", ()))),
+            *((("boxes", boxes),) if (boxes := record.get("boxes")) else ()),
         ),
         counts=record.get("counts", {}),
         problems=[Problem(**p) for p in record.get("problems", ())],
@@ -293,6 +295,7 @@ class RecordedRun:
         warnings: Problems of the recipe that were reported.
         machine: Machine of the run, as recorded, with `renderer` and `device`.
         packages: Versions of the packages.
+        boxes: How loosely boxes are drawn and why, in sentences.
     """
 
     recipe: Recipe
@@ -304,6 +307,7 @@ class RecordedRun:
     warnings: tuple[Problem, ...]
     machine: Mapping[str, Any]
     packages: Mapping[str, str]
+    boxes: str = ""
 
     @property
     def renderer(self) -> str:
@@ -350,6 +354,7 @@ class RecordedRun:
                 warnings=tuple(Problem(**p) for p in request.get("warnings", ())),
                 machine=record["machine"],
                 packages=record["packages"],
+                boxes=str(record.get("boxes", "")),
             )
         except (LookupError, TypeError, ValueError, AttributeError, ArgumentError) as error:
             raise OutputError(
@@ -372,7 +377,7 @@ class RecordedRun:
             InfraBlendError: The backgrounds cannot be read.
         """
         plan = plan_folder(self.recipe, data or self.data, self.seed, self.reading, self.selection, self.warnings)
-        return replace(plan, request=self.request)
+        return replace(plan, request=self.request, boxes=self.boxes)
 
 
 def recorded_recipe(record: Mapping[str, Any]) -> Recipe:

@@ -105,6 +105,7 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
         texts.append(f"{unlabelled} inserted objects have no label because they are too small or hidden: `run.json`.")
     if loosened := counts.get("boxes_loosened"):
         texts.append(loosened_text(loosened, Looseness.of_labels(labels)))
+    texts += [plan.boxes] if plan.boxes else []
     texts += renamed_texts(labels.rename) + invalid_texts(plan.problems, RUN_FILE)
     if excluded := plan.dataset.notes.get("excluded"):
         found = ", ".join(f"{name} ({e['images']} pictures, {e['why']})" for name, e in excluded.items())
