@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import boxes_mask
 from infrablend.core.mesh import FloatArray
+from infrablend.core.rng import stream
 
 _FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_PLAIN, cv2.FONT_HERSHEY_COMPLEX_SMALL)
 _GLYPHS = [*string.ascii_uppercase, *string.digits, *(string.digits * 3), *":.-/ "]
@@ -37,7 +38,7 @@ def draw_graphics(picture: NDArray[np.float64], top: float, seed: int, objects_x
         objects_xyxy: (n, 4) boxes of labelled objects, px. A mark that would come near one of them is left out, so that
             no small object disappears below a letter.
     """
-    rng = np.random.default_rng(seed)
+    rng = stream(seed, "graphics")
     drawn = picture.copy()
     occupied = boxes_mask(objects_xyxy + _CLEAR_PX * np.array([-1.0, -1, 1, 1]), picture.shape)
     # White, black, or whichever differs from what is below.

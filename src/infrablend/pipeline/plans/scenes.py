@@ -11,7 +11,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord
 
 WANTED_OBJECTS = 2000
-"""Objects of the first object's class that a run makes to train on, about."""
+"""Objects of the first object's class that a run asks for to train on, at least: some find no place."""
 MOST_SCENES = 16
 """Most scenes per background: more show the same few backgrounds again and again."""
 CHOICE = "configurations"
@@ -84,4 +84,4 @@ def _mean_of_first(recipe: Recipe, classes: Sequence[str], picture: Capture) -> 
 
 def _number(per_scene: float) -> int:
     """Return the number of scenes for a mean number of objects in one scene of each background."""
-    return max(1, round(min(MOST_SCENES, WANTED_OBJECTS / per_scene))) if per_scene else 1
+    return min(MOST_SCENES, math.ceil(WANTED_OBJECTS / per_scene)) if per_scene else 1
