@@ -123,7 +123,9 @@ class OtherCamera:
             step = self.grey_unit * 2.0 ** (8 - self.bits)
             picture = np.rint(picture / step) * step
         if self.graphics_seed is not None:
-            picture = draw_graphics(picture, float(top), self.graphics_seed, np.reshape(self.objects_xyxy, (-1, 4)))
+            # Few of 16 bits are in use: white at the last level would leave a gain control no contrast for the scene.
+            levels = (0.0, float(top)) if top == 255 else (float(picture.min()), float(picture.max()))
+            picture = draw_graphics(picture, levels, self.graphics_seed, np.reshape(self.objects_xyxy, (-1, 4)))
         return np.asarray(np.clip(np.rint(picture), 0, top).astype(pixels.dtype))
 
 

@@ -74,6 +74,7 @@ def test_some_pictures_stay_as_they_are():
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_graphics_stay_clear_of_objects_and_repeat(dtype):
     before = np.full((256, 320), 100, dtype)
+    before[-1, -1] = 255  # 16-bit graphics are between the levels of the picture
     objects = np.random.default_rng(1).uniform(0, 1, (12, 4)) * [300, 236, 12, 12]
     objects[:, 2:] += objects[:, :2] + 2
     near = np.zeros(before.shape, np.bool_)
@@ -89,3 +90,10 @@ def test_graphics_stay_clear_of_objects_and_repeat(dtype):
         # Graphics have the sharp edges and extreme levels of what is burnt in, and leave most of the scene.
         assert (taken != before).mean() < 0.35
     assert changed > 30
+
+
+def test_graphics_leave_the_levels_of_16_bit_pictures_to_the_scene():
+    before = np.random.default_rng(0).integers(7000, 8000, (256, 320), np.uint16)
+    for seed in range(20):
+        taken = replace(NEUTRAL, graphics_seed=seed).take(before)
+        assert before.min() <= taken.min() and taken.max() <= before.max()
