@@ -970,11 +970,13 @@ def test_training_on_tiles_that_fit_small_pictures_is_adopted(
 ) -> None:
     monkeypatch.setitem(PRESETS, "smoke", replace(PRESETS["smoke"], tile=2048, image_size=2048))
     first = tmp_path / "first"
-    run("hit-uav-drone", data, first, only=["train:aligned"])
-    made = folder_of(first, "train", "aligned") / "out"
-    assert json.loads((made / "train.json").read_text())["settings"]["tile"] == 512
-    report = run("hit-uav-drone", data, tmp_path / "second", adopt={"train:aligned": made}, only=["train:aligned"])
-    assert report.status and len(bench.trained) == 1
+    run("hit-uav-drone", data, first)
+    trained, generated = (folder_of(first, kind, "aligned") / "out" for kind in ("train", "generate"))
+    assert json.loads((trained / "train.json").read_text())["settings"]["tile"] == 512
+    adopt = {"generate:aligned": generated, "train:aligned": trained}
+    before = len(bench.trained)
+    run("hit-uav-drone", data, tmp_path / "second", adopt=adopt, only=["train:aligned"])
+    assert len(bench.trained) == before
 
 
 def test_adopted_run_has_the_number_of_scenes_that_the_recipe_chooses(
