@@ -29,7 +29,7 @@ _GRAIN_PX = 0.6
 
 @dataclass(frozen=True)
 class OtherCamera:
-    """What is done to a picture, in this order.
+    """What is done to a picture; `take` has the order.
 
     Attributes:
         blur_px: Sigma of an additional blur; 0 for none.

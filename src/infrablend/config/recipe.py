@@ -989,7 +989,7 @@ class Randomise(Strict):
     """Another camera for each picture, inserts and background alike, for detectors whose camera is not known."""
 
     share: float = Field(1.0, ge=0, le=1)
-    """Share of the pictures that another camera takes; the others stay as they are."""
+    """Share of the pictures that another camera takes; the others stay as they are. The shares below are of these."""
     blur_px: range_of(0, 5) = (0.0, 0.0)  # type: ignore[valid-type]
     """Sigma of an additional blur, pixels."""
     bloom: range_of(0, 0.5) = (0.0, 0.0)  # type: ignore[valid-type]
@@ -1010,7 +1010,7 @@ class Randomise(Strict):
     """Standard deviation of the offsets of whole columns, 8-bit grey levels."""
     graphics: float = Field(0.0, ge=0, le=1)
     """Share of the pictures with burnt-in text, a reticle, a bar of grey levels or dead rows at their edges. They stay
-    clear of all labelled objects."""
+    clear of all labelled objects: in a sequence, a mark is missing from the frames in which one comes near."""
 
 
 class Sensor(_Imitation):
