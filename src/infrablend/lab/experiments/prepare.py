@@ -392,12 +392,12 @@ def _check_run(job: StageJob, folder: Path) -> None:
     seed = job.request.seed
     dataset = read_dataset(source.dataset, options=source.reader_options)
     plans = {}
-    for splits in (SPLITS, spec.splits):  # made from the splits that are needed, or from all
+    for splits in (spec.splits, SPLITS):  # made from the splits that are needed, or from all
         part = replace(dataset, images=tuple(i for i in dataset.images if i.split in splits))
-        plan = make_plan(asked, part, seed)
-        plans[plan.key["backgrounds"]] = plan
+        possible = make_plan(asked, part, seed)
+        plans[possible.key["backgrounds"]] = possible
     backgrounds = (record.get("key") or {}).get("backgrounds")
-    plan = plans.get(backgrounds, plan)
+    plan = plans.get(backgrounds) or next(iter(plans.values()))
     pairs = {
         "seed": (record.get("seed"), seed),
         "version": (record.get("infrablend"), __version__),

@@ -87,7 +87,7 @@ PRESETS: Mapping[str, Preset] = {
             passes=40_000, arguments={**_SHORT_TRAINING, "close_mosaic": 5},
         ),
         Preset(
-            "small", "tiles of 320 px around objects; for two cores", "yolov8n", 320, 16, passes=16_000,
+            "small", "tiles of up to 320 px around objects; for two cores", "yolov8n", 320, 16, passes=16_000,
             tile=320, arguments=_TILE_ARGUMENTS,
         ),
         Preset(
