@@ -23,7 +23,7 @@ def test_a_neutral_camera_changes_nothing_and_is_the_default():
     before = picture()
     assert (NEUTRAL.take(before) == before).all()
     drawn = OtherCamera.draw(Randomise(), 1.0, np.random.default_rng(1))
-    assert replace(drawn, noise_seed=7, vignette_power=2.0) == NEUTRAL
+    assert replace(drawn, noise_seed=7, stripes_seed=0, vignette_power=2.0) == NEUTRAL
     assert OtherCamera.from_json(drawn.to_json()) == drawn
 
 
@@ -51,7 +51,10 @@ def test_each_step_does_what_it_says(dtype):
     corners = replace(camera, vignette_grey=-30.0, vignette_power=8.0).take(before).astype(float) / unit
     assert corners[0, 0] == pytest.approx(before[0, 0] / unit - 30, abs=1)
     assert corners[32, 28] == pytest.approx(before[32, 28] / unit, abs=1)
-    striped = replace(camera, stripes_grey=9.0).take(before)[:12].astype(float) / unit
+    stripes = replace(camera, stripes_grey=9.0)
+    assert (stripes.take(before) == replace(stripes, noise_seed=99).take(before)).all()
+    assert (stripes.take(before) != replace(stripes, stripes_seed=99).take(before)).any()
+    striped = stripes.take(before)[:12].astype(float) / unit
     assert striped.mean(axis=0).std() == pytest.approx(9, rel=0.3) and striped.std(axis=0).mean() < 4
     assert all(replace(camera, gain=2.0).take(before).dtype == dtype for _ in range(2))
 
