@@ -3,7 +3,7 @@
     .venv/bin/python bench/yolo_predict.py WEIGHTS DATA OUT.json [--split test] [--imgsz PX]
     .venv/bin/infrablend evaluate OUT.json DATA --out DIR
 
-Pictures go in at their own size: `imgsz` is the longer side of the first one, and the confidence 0.001. `evaluate` adds
+Pictures go in at their own size: `imgsz` is the longer side of each, and the confidence 0.001. `evaluate` adds
 a border of grey to each picture and keeps several classes per box; the prediction does neither.
 """
 
@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+
+from PIL import Image
 
 from infrablend import api
 from infrablend.detection.detections import MAX_DETECTIONS, Predictions, detections, write_predictions
@@ -36,7 +38,8 @@ def main() -> None:
         detector = YOLO(str(args.weights))
         for image in images:
             key = image_key(image)
-            sizes[key] = image.size_wh or (640, 640)
+            with Image.open(image.path) as picture:
+                sizes[key] = picture.size
             size = args.imgsz or max(sizes[key])
             (its,) = detector.predict(str(image.path), imgsz=size, conf=0.001, max_det=MAX_DETECTIONS, verbose=False)
             boxes = its.boxes

@@ -140,6 +140,8 @@ def _of_pictures(name):
     [
         ("hit-uav-person", {"objects.0.range_m": [5, 9]}, "objects.0.range_m", "person stands on the ground"),
         ("hit-uav-drone-physical", {"objects.0.z_m": [2, 3]}, "objects.0.z_m", "drone flies"),
+        ("drone-sky", {"objects.0.range_m": [5, 9]}, "objects.0.range_m", "size_px decides the distance"),
+        ("drone-sky", {"objects.0.range_m": [5, 9], "objects.0.size_px": None}, None, None),
         ("drone-sky", {"appearance.mode": "artistic"}, "sensor.headroom", "appearance.mode is artistic"),
         ("hit-uav-person", {"objects.0.range_m": [15, 60], "objects.0.z_m": [2, 3]}, None, None),  # the default
         ("hit-uav-drone-physical", {"objects.0.range_m": [5, 9], "sensor.headroom": 1}, None, None),

@@ -28,17 +28,20 @@ _WITH_TEXT, _WITH_RETICLE, _WITH_BAR, _WITH_DEAD_EDGE = 0.85, 0.6, 0.15, 0.3
 _CLEAR_PX = 2
 
 
-def draw_graphics(picture: NDArray[np.float64], top: float, seed: int, objects_xyxy: FloatArray) -> NDArray[np.float64]:
+def draw_graphics(
+    picture: NDArray[np.float64], levels: tuple[float, float], seed: int, objects_xyxy: FloatArray
+) -> NDArray[np.float64]:
     """Return a picture with burnt-in graphics.
 
     Args:
         picture: (h, w) levels.
-        top: Brightest level.
+        levels: Levels of black and white.
         seed: Seed of what is drawn.
         objects_xyxy: (n, 4) boxes of labelled objects, px. A mark that would come near one of them is left out, so that
             no small object disappears below a letter.
     """
     rng = stream(seed, "graphics")
+    black, white = levels
     drawn = picture.copy()
     occupied = boxes_mask(objects_xyxy + _CLEAR_PX * np.array([-1.0, -1, 1, 1]), picture.shape)
     # White, black, or whichever differs from what is below.
@@ -47,9 +50,9 @@ def draw_graphics(picture: NDArray[np.float64], top: float, seed: int, objects_x
         on_mark = mark > 0
         if not on_mark.any() or (on_mark & occupied).any():
             continue
-        dark = colour == "black" or (colour == "contrast" and float(picture[on_mark].mean()) > 0.5 * top)
+        is_black = colour == "black" or (colour == "contrast" and float(picture[on_mark].mean()) > (black + white) / 2)
         share = mark.astype(np.float64) / 255
-        drawn = drawn * (1 - share) + (0.0 if dark else top) * share
+        drawn = drawn * (1 - share) + (black if is_black else white) * share
     return drawn
 
 

@@ -29,7 +29,7 @@ _GRAIN_PX = 0.6
 
 @dataclass(frozen=True)
 class OtherCamera:
-    """What is done to a picture, in this order.
+    """What is done to a picture; `take` has the order.
 
     Attributes:
         blur_px: Sigma of an additional blur; 0 for none.
@@ -44,6 +44,7 @@ class OtherCamera:
         vignette_grey: Levels that the corners are brighter than the middle, 8-bit levels; negative: darker.
         vignette_power: Power of the distance from the middle by which this grows: 2 for a bowl, 8 for bright corners.
         stripes_grey: Standard deviation of the offsets of whole columns, 8-bit levels.
+        stripes_seed: Seed of these; a pattern of the core, which stays through a sequence, unlike noise.
         graphics_seed: Seed of text and reticles; None for none.
         objects_xyxy: Boxes that these stay clear of, px.
     """
@@ -60,6 +61,7 @@ class OtherCamera:
     vignette_grey: float = 0.0
     vignette_power: float = 2.0
     stripes_grey: float = 0.0
+    stripes_seed: int = 0
     graphics_seed: int | None = None
     objects_xyxy: Sequence[Sequence[float]] = ()
 
@@ -79,7 +81,7 @@ class OtherCamera:
             return cls(0.0, 0.0, 1.0, 0.0, noise_seed, 0.0, False, 8, grey_unit)
         return cls(
             blur, bloom, gain, noise, noise_seed, halo, inverted, bits, grey_unit, vignette, power, stripes,
-            graphics_seed if has_graphics else None,
+            noise_seed, graphics_seed if has_graphics else None,
         )  # fmt: skip
 
     def to_json(self) -> dict[str, object]:
@@ -111,7 +113,7 @@ class OtherCamera:
             corners = self.vignette_grey * self.grey_unit
             picture = picture + corners * _from_middle(picture.shape) ** self.vignette_power
         if self.stripes_grey > 0:
-            rng = stream(self.noise_seed, "stripes")
+            rng = stream(self.stripes_seed, "stripes")
             picture = picture + rng.normal(0.0, self.stripes_grey * self.grey_unit, picture.shape[1])
         if self.noise_grey > 0:
             picture = picture + grain(picture.shape, self.noise_grey * self.grey_unit, _GRAIN_PX, self.noise_seed)
@@ -123,7 +125,9 @@ class OtherCamera:
             step = self.grey_unit * 2.0 ** (8 - self.bits)
             picture = np.rint(picture / step) * step
         if self.graphics_seed is not None:
-            picture = draw_graphics(picture, float(top), self.graphics_seed, np.reshape(self.objects_xyxy, (-1, 4)))
+            # Few of 16 bits are in use: white at the last level would leave a gain control no contrast for the scene.
+            levels = (0.0, float(top)) if top == 255 else (float(picture.min()), float(picture.max()))
+            picture = draw_graphics(picture, levels, self.graphics_seed, np.reshape(self.objects_xyxy, (-1, 4)))
         return np.asarray(np.clip(np.rint(picture), 0, top).astype(pixels.dtype))
 
 

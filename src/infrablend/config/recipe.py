@@ -545,9 +545,9 @@ class MetricObject(ObjectKind):
     range_m: range_of(0.5, 10_000) = (15.0, 60.0)  # type: ignore[valid-type]
     """Models that fly: distance from the camera, metres."""
     size_px: range_of(1, 10_000) | None = None  # type: ignore[valid-type]
-    """Models that fly: longest side of the object, in pixels of the picture, instead of `range_m`; the distance follows
-    from it and the lens of the picture. Log-uniform: as many from 4 to 8 px as from 8 to 16 px. Boxes are smaller where
-    the object is not seen at right angles to that side."""
+    """Models that fly: longest of length, width and height, in pixels of the picture, instead of `range_m`; the
+    distance follows from it and the lens of the picture. Log-uniform: as many from 4 to 8 px as from 8 to 16 px. Boxes
+    are smaller where the object is seen along that side, and up to 1.4 times as long where it is seen diagonally."""
     group: Group | None = None
     """Models that stand: place objects of this kind in groups, e.g. `{share: 0.7, apart_m: [0.6, 2.5]}`."""
     align: Align | None = None
@@ -666,7 +666,7 @@ class MetricPlacement(Placement):
 
     mode: Literal["metric"]
     """`metric`: in the view of the real camera, at its real height. Models that stand are placed on the ground at a
-    point drawn over the image, models that fly at the distance `objects.*.range_m`."""
+    point drawn over the image, models that fly at the distance `objects.*.range_m` or `size_px`."""
     clear_of_labels: bool = True
     """Reject placements that cover annotated objects or other inserts: that share more than 0.02 of the smaller box.
     Inserts that are placed beside another one follow `group.max_overlap` among inserts."""
@@ -989,7 +989,7 @@ class Randomise(Strict):
     """Another camera for each picture, inserts and background alike, for detectors whose camera is not known."""
 
     share: float = Field(1.0, ge=0, le=1)
-    """Share of the pictures that another camera takes; the others stay as they are."""
+    """Share of the pictures that another camera takes; the others stay as they are. The shares below are of these."""
     blur_px: range_of(0, 5) = (0.0, 0.0)  # type: ignore[valid-type]
     """Sigma of an additional blur, pixels."""
     bloom: range_of(0, 0.5) = (0.0, 0.0)  # type: ignore[valid-type]
@@ -1010,7 +1010,7 @@ class Randomise(Strict):
     """Standard deviation of the offsets of whole columns, 8-bit grey levels."""
     graphics: float = Field(0.0, ge=0, le=1)
     """Share of the pictures with burnt-in text, a reticle, a bar of grey levels or dead rows at their edges. They stay
-    clear of all labelled objects."""
+    clear of all labelled objects: in a sequence, a mark is missing from the frames in which one comes near."""
 
 
 class Sensor(_Imitation):

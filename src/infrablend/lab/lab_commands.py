@@ -70,7 +70,7 @@ def train(
     if plan:
         p = api.plan_train(dataset, request, reading=reading, out=out, existing=existing)
         rows = {
-            "tiles" if p.tiled else "images": str(p.images),
+            "tiles" if p.tiled else "images": f"{p.images} of {p.tile_px} px" if p.tiled else str(p.images),
             "labels of the split": str(p.labels),
             "epochs": f"{p.epochs} of {p.shown} images shown",
             "start weights": start_text(p.weights, p.network),

@@ -119,8 +119,8 @@ _REFUSED: Mapping[str, str] = {
 }
 _LEAST_ABSENT = 0.5
 _LOOKS_DOWN = (
-    "at these distances (objects.N.range_m) and the recipe's height of the camera, objects would be below the ground: "
-    "use a recipe for cameras that look down, or correct pitch and height"
+    "at these distances (objects.N.range_m or size_px) and the recipe's height of the camera, objects would be below "
+    "the ground: use a recipe for cameras that look down, or correct pitch and height"
 )
 
 _TOO_SMALL = (

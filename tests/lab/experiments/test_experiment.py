@@ -43,7 +43,7 @@ from infrablend.lab.experiments.stage import RECORD, Stage, spread_images, stage
 from infrablend.lab.pages import write_results
 from infrablend.lab.pages.experiment_page import list_differences, page_text
 from infrablend.lab.pages.write_results import write_page
-from infrablend.lab.training.presets import cpu_threads
+from infrablend.lab.training.presets import PRESETS, cpu_threads
 from infrablend.lab.training.train_request import TrainRequest
 from infrablend.pipeline.plans import scenes
 from infrablend.pipeline.plans.run_request import Execution
@@ -79,7 +79,7 @@ class Bench:
             "task": request.task,
             "seed": request.seed,
             "classes": names,
-            "settings": json.loads(json.dumps(preset_inputs(request.chosen_preset()))),
+            "settings": json.loads(json.dumps(preset_inputs(request.with_fitting_tiles(dataset).chosen_preset()))),
             "start_asked": request.weights,
             "prepared": {
                 "images": 8,
@@ -963,6 +963,20 @@ def test_equal_training_from_elsewhere_is_adopted(bench: Bench, data: Path, tmp_
     with pytest.raises(DatasetError) as caught:
         run("hit-uav-drone", data, tmp_path / "fourth", seed=1, adopt={"generate:aligned": generated / "out"})
     assert {p.where for p in caught.value.problems} == {"generate:aligned, seed"}
+
+
+def test_training_on_tiles_that_fit_small_pictures_is_adopted(
+    bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(PRESETS, "smoke", replace(PRESETS["smoke"], tile=2048, image_size=2048))
+    first = tmp_path / "first"
+    run("hit-uav-drone", data, first)
+    trained, generated = (folder_of(first, kind, "aligned") / "out" for kind in ("train", "generate"))
+    assert json.loads((trained / "train.json").read_text())["settings"]["tile"] == 512
+    adopt = {"generate:aligned": generated, "train:aligned": trained}
+    before = len(bench.trained)
+    run("hit-uav-drone", data, tmp_path / "second", adopt=adopt, only=["train:aligned"])
+    assert len(bench.trained) == before
 
 
 def test_adopted_run_has_the_number_of_scenes_that_the_recipe_chooses(

@@ -41,6 +41,7 @@ def test_the_trainer_gets_8_bit_pictures_by_the_agc(flight: Path, tmp_path: Path
     assert has_deep_pictures(wanted)
     counts = write_training_data(wanted, tmp_path / "out", request)
     assert counts["labels"] == 2
+    assert counts.get("picture_px") == (320 if tile else None)  # the size that other programs show pictures at
     files = sorted((tmp_path / "out" / "data" / "images" / "train").iterdir())
     pictures = [np.array(Image.open(p)) for p in files]
     assert {p.dtype for p in pictures} == {np.dtype(np.uint8)}

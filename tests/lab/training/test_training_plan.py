@@ -5,10 +5,12 @@ import dataclasses
 import io
 import pickle
 import zipfile
+from pathlib import Path
 
 import pytest
 
 from infrablend import api
+from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.detection import ultralytics_environment
 from infrablend.errors import DatasetError, ModelError, OtherSettingsError, OutputError
 from infrablend.lab.training import start_weights
@@ -96,3 +98,26 @@ def test_data_without_any_object_are_refused_by_every_preset(preset, tmp_path):
     with pytest.raises(DatasetError) as caught:
         select_training_data(bare, TrainRequest(preset=preset))
     assert "class-empty" in {p.code for p in caught.value.problems if p.severity == "error"}
+
+
+@pytest.mark.parametrize(
+    ("sizes", "settings", "side"),
+    [
+        ([(320, 256)] * 3, {}, 256),
+        ([(256, 330)] * 3, {}, 256),
+        ([(640, 512)] * 3, {}, 320),
+        ([(640, 512)] * 2 + [(320, 250)], {}, 320),
+        ([(640, 512)] + [(320, 250)] * 2, {}, 224),  # half of them or more: what most have
+        ([(64, 48)] * 3, {}, 320),
+        ([None] * 3, {}, 320),
+        ([(320, 256)] * 3, {"tile": 320}, 320),
+        ([(320, 256)] * 3, {"image_size": 640}, 320),
+        ([(320, 256)] * 3, {"mosaic": 0}, 256),
+    ],
+)
+def test_tiles_are_no_larger_than_most_pictures_unless_a_size_is_stated(sizes, settings, side):
+    images = [ImageRecord(str(n), Path(f"{n}.png"), "train", size, ()) for n, size in enumerate(sizes)]
+    dataset = Dataset(Path(), "coco", (Category(1, "drone"),), tuple(images))
+    preset = TrainRequest(settings=settings).with_fitting_tiles(dataset).chosen_preset()
+    assert (preset.tile, preset.image_size) == (side, settings.get("image_size", side))
+    assert preset.arguments["mosaic"] == settings.get("mosaic", 0.5)

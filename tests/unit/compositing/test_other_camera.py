@@ -23,7 +23,7 @@ def test_a_neutral_camera_changes_nothing_and_is_the_default():
     before = picture()
     assert (NEUTRAL.take(before) == before).all()
     drawn = OtherCamera.draw(Randomise(), 1.0, np.random.default_rng(1))
-    assert replace(drawn, noise_seed=7, vignette_power=2.0) == NEUTRAL
+    assert replace(drawn, noise_seed=7, stripes_seed=0, vignette_power=2.0) == NEUTRAL
     assert OtherCamera.from_json(drawn.to_json()) == drawn
 
 
@@ -51,7 +51,10 @@ def test_each_step_does_what_it_says(dtype):
     corners = replace(camera, vignette_grey=-30.0, vignette_power=8.0).take(before).astype(float) / unit
     assert corners[0, 0] == pytest.approx(before[0, 0] / unit - 30, abs=1)
     assert corners[32, 28] == pytest.approx(before[32, 28] / unit, abs=1)
-    striped = replace(camera, stripes_grey=9.0).take(before)[:12].astype(float) / unit
+    stripes = replace(camera, stripes_grey=9.0)
+    assert (stripes.take(before) == replace(stripes, noise_seed=99).take(before)).all()
+    assert (stripes.take(before) != replace(stripes, stripes_seed=99).take(before)).any()
+    striped = stripes.take(before)[:12].astype(float) / unit
     assert striped.mean(axis=0).std() == pytest.approx(9, rel=0.3) and striped.std(axis=0).mean() < 4
     assert all(replace(camera, gain=2.0).take(before).dtype == dtype for _ in range(2))
 
@@ -74,6 +77,7 @@ def test_some_pictures_stay_as_they_are():
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_graphics_stay_clear_of_objects_and_repeat(dtype):
     before = np.full((256, 320), 100, dtype)
+    before[-1, -1] = 255  # 16-bit graphics are between the levels of the picture
     objects = np.random.default_rng(1).uniform(0, 1, (12, 4)) * [300, 236, 12, 12]
     objects[:, 2:] += objects[:, :2] + 2
     near = np.zeros(before.shape, np.bool_)
@@ -89,3 +93,10 @@ def test_graphics_stay_clear_of_objects_and_repeat(dtype):
         # Graphics have the sharp edges and extreme levels of what is burnt in, and leave most of the scene.
         assert (taken != before).mean() < 0.35
     assert changed > 30
+
+
+def test_graphics_leave_the_levels_of_16_bit_pictures_to_the_scene():
+    before = np.random.default_rng(0).integers(7000, 8000, (256, 320), np.uint16)
+    for seed in range(20):
+        taken = replace(NEUTRAL, graphics_seed=seed).take(before)
+        assert before.min() <= taken.min() and taken.max() <= before.max()

@@ -45,7 +45,8 @@ def chosen(images: list[ImageRecord], *settings: str) -> Scenes:
 
 
 @pytest.mark.parametrize(
-    ("backgrounds", "number"), [(1, 16), (100, 16), (125, 16), (130, 16), (140, 15), (681, 3), (1000, 2), (2000, 1), (50_000, 1)]
+    ("backgrounds", "number"),
+    [(1, 16), (100, 16), (125, 16), (130, 16), (140, 15), (681, 3), (1000, 2), (2000, 1), (50_000, 1)],
 )
 def test_the_number_asks_for_two_thousand_objects_within_its_limits(backgrounds: int, number: int) -> None:
     assert chosen(pictures(backgrounds)).number == number

@@ -272,6 +272,7 @@ def test_a_camera_that_the_recipe_draws_is_that_of_the_whole_sequence(tmp_path):
     generate(data, tmp_path / "run", settings=settings)
     cameras = [r.facts["camera"] for r in RunFolder(tmp_path / "run").records()]
     assert len({c["gain"] for c in cameras}) == 1 and len({c["noise_seed"] for c in cameras}) == 4
+    assert len({c["stripes_seed"] for c in cameras}) == 1
 
 
 def test_a_source_of_backgrounds_has_no_sequences():

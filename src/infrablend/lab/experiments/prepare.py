@@ -42,6 +42,7 @@ from infrablend.lab.experiments.graph import (
     StageGraph,
     build_graph,
     deciding_fields,
+    preset_inputs,
     unknown_stage,
     where_to_get,
 )
@@ -56,8 +57,8 @@ from infrablend.lab.experiments.stage import (
     read_dataset,
 )
 from infrablend.lab.pages.write_results import require_own_pages
-from infrablend.lab.training.presets import Preset
 from infrablend.lab.training.start_weights import require_known
+from infrablend.lab.training.train_request import TrainRequest
 from infrablend.lab.training.training_record import TrainingRecord
 from infrablend.pipeline.plans.planning import make_plan
 from infrablend.pipeline.runs.record import RecordedRun
@@ -356,12 +357,15 @@ def _checked_training(job: StageJob, folder: Path) -> TrainingRecord:
         raise DatasetError("nothing to adopt", [problem]) from error
     record: Any = found if isinstance(found, dict) else {}
     prepared = record.get("prepared") or {}
-    asked = dict(inputs["preset"])
+    request = TrainRequest(job.request.scale, {**job.stage.spec.settings, **job.request.training})
+    dataset = read_dataset(job.needs["data"].dataset, options=job.needs["data"].reader_options)
+    preset = request.with_fitting_tiles(dataset).chosen_preset()
+    asked = preset_inputs(preset)
     settings = {k: v for k, v in (record.get("settings") or {}).items() if k in asked}
     classes = list(inputs["classes"] or data["classes"])
     labels = {k: n for k, n in data["labels"].get("train", {}).items() if k in classes and n}
-    epochs, shown = Preset(**{"summary": "", **asked}).epochs_for(prepared.get("images") or 0)
-    stops_early = bool(asked.get("patience"))
+    epochs, shown = preset.epochs_for(prepared.get("images") or 0)
+    stops_early = bool(preset.patience)
     pairs = {
         "weights": (Path(str(record.get("start_asked"))).name, inputs["weights"]),
         "epochs": (record.get("epochs"), epochs),
@@ -388,12 +392,12 @@ def _check_run(job: StageJob, folder: Path) -> None:
     seed = job.request.seed
     dataset = read_dataset(source.dataset, options=source.reader_options)
     plans = {}
-    for splits in (SPLITS, spec.splits):  # made from the splits that are needed, or from all
+    for splits in (spec.splits, SPLITS):  # made from the splits that are needed, or from all
         part = replace(dataset, images=tuple(i for i in dataset.images if i.split in splits))
-        plan = make_plan(asked, part, seed)
-        plans[plan.key["backgrounds"]] = plan
+        possible = make_plan(asked, part, seed)
+        plans[possible.key["backgrounds"]] = possible
     backgrounds = (record.get("key") or {}).get("backgrounds")
-    plan = plans.get(backgrounds, plan)
+    plan = plans.get(backgrounds) or next(iter(plans.values()))
     pairs = {
         "seed": (record.get("seed"), seed),
         "version": (record.get("infrablend"), __version__),

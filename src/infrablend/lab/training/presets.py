@@ -66,9 +66,9 @@ _SHORT_TRAINING = {
     "optimizer": "AdamW", "lr0": 0.002, "momentum": 0.9, "warmup_bias_lr": 0.0, "warmup_epochs": 1.0, "nbs": 16,
     "hsv_h": 0.0, "hsv_s": 0.0,
 }  # fmt: skip
-# The scale stays near 1: tiles exist to preserve the sizes of objects. Half of the images are mosaics, which show objects
-# in front of parts of four pictures: without them, a detector learns which pictures have which class, and what it calls
-# a drone depends on the border of the picture.
+# The scale stays near 1: tiles exist to preserve the sizes of objects. Half of the images are mosaics of four tiles:
+# without them, a detector learns which pictures have which class, and what it calls a drone depends on the border of
+# the picture.
 _TILE_ARGUMENTS = {**_SHORT_TRAINING, "scale": 0.2, "mosaic": 0.5, "close_mosaic": 0}
 
 PRESETS: Mapping[str, Preset] = {
@@ -87,7 +87,7 @@ PRESETS: Mapping[str, Preset] = {
             passes=40_000, arguments={**_SHORT_TRAINING, "close_mosaic": 5},
         ),
         Preset(
-            "small", "tiles of 320 px around objects; for two cores", "yolov8n", 320, 16, passes=16_000,
+            "small", "tiles of up to 320 px around objects; for two cores", "yolov8n", 320, 16, passes=16_000,
             tile=320, arguments=_TILE_ARGUMENTS,
         ),
         Preset(

@@ -60,6 +60,7 @@ class TrainPlan:
         epochs: Maximum number of epochs.
         shown: Images shown per epoch.
         tiled: Whether `images` are tiles.
+        tile_px: Side of the tiles, px; 0 for whole pictures.
         device: Ultralytics' name of the device.
         seconds: Estimated duration, s.
         disk_bytes: Estimated peak disk space, bytes.
@@ -72,6 +73,7 @@ class TrainPlan:
     epochs: int
     shown: int
     tiled: bool
+    tile_px: int
     device: str
     seconds: float
     disk_bytes: int
@@ -114,7 +116,8 @@ def plan_of(wanted: Dataset, device: str, request: TrainRequest) -> TrainPlan:
     labels = sum(len(i.instances) for i in parts["train"])
     epochs, shown = preset.epochs_for(images)
     return TrainPlan(
-        images=images, labels=labels, epochs=epochs, shown=shown, tiled=preset.tile > 0, device=device,
+        images=images, labels=labels, epochs=epochs, shown=shown, tiled=preset.tile > 0, tile_px=preset.tile,
+        device=device,
         seconds=presets.estimate_seconds(preset, images, gpu=device != "cpu", threads=presets.cpu_threads()),
         disk_bytes=round(size + presets.weights_bytes(preset)), weights=Path(request.weights).name,
         network=start_weights.network_of(request.weights, preset, request.task),

@@ -17,6 +17,7 @@ from infrablend.lab.training.presets import PRESETS, Preset, PresetName
 PRESET_FIELDS = ("model", "image_size", "batch", "epochs", "passes", "patience", "tile", "tiles")
 _LEAST = {"image_size": 1, "batch": 1}
 _STRIDE_PX = 32  # sides of tiles are multiples of the network's stride
+_LEAST_TILE_PX = 64  # smaller ones show too little of what is around an object
 
 
 @dataclass(frozen=True)
@@ -56,18 +57,17 @@ class TrainRequest:
         return choose_preset(self.preset, self.settings)
 
     def with_fitting_tiles(self, dataset: Dataset) -> TrainRequest:
-        """Return the request with tiles that are no larger than most pictures of the dataset, unless it states a size.
+        """Return the request with tiles that are no larger than half of the pictures to train on.
 
         Larger tiles would have a grey border in every picture, always of the same width, which other programs do not
-        add when they show pictures to the detector.
+        add when they show pictures to the detector. A request that states a size keeps it.
         """
-        preset = self.chosen_preset()
         sides = sorted(min(i.size_wh) for i in dataset.images if i.split == "train" and i.size_wh is not None)
         side = sides[len(sides) // 2] // _STRIDE_PX * _STRIDE_PX if sides else 0
-        if "tile" in self.settings or not 2 * _STRIDE_PX <= side < preset.tile:
+        is_stated = "tile" in self.settings or "image_size" in self.settings
+        if is_stated or not _LEAST_TILE_PX <= side < self.chosen_preset().tile:
             return self
-        image_size = {"image_size": side} if preset.image_size == preset.tile else {}
-        return replace(self, settings={**image_size, **self.settings, "tile": side})
+        return replace(self, settings={**self.settings, "tile": side, "image_size": side})
 
 
 DEFAULT_TRAINING: TrainRequest = TrainRequest()

@@ -268,7 +268,7 @@ def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: Writer) ->
     if earlier:
         found = f"{earlier} boxes that are enlarged or fitted already"
         expected = "boxes that fit tightly"
-        todo = "leave the option out, or convert a run made without labels.fit, labels.loosen and labels.loosen_px"
+        todo = "leave the option out, or convert a run made with labels.loosen=exact, fit=shape and loosen_px=0"
         twice = Problem(_loosen_option(by), "loosen-twice", found, expected, todo)
         raise DatasetError(f"{dataset.root}: boxes are enlarged only once", [twice])
 

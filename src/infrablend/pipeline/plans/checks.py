@@ -8,7 +8,7 @@ from pathlib import Path
 
 from infrablend.annotation.classes import unknown_classes
 from infrablend.assets.model import ObjectModel
-from infrablend.config.recipe import IN_AIR, ON_GROUND, Object, Recipe
+from infrablend.config.recipe import IN_AIR, ON_GROUND, MetricObject, Object, Recipe
 from infrablend.core.camera import fov_of_width
 from infrablend.core.dataset import Dataset, ImageRecord, differ_in_form
 from infrablend.core.format_table import NATIVE
@@ -84,6 +84,8 @@ def without_effect(recipe: Recipe, models: Mapping[str, ObjectModel]) -> list[Pr
         expected = "a model that flies" if stands else "a model that stands on the ground"
         unused = o.only_flying if stands else o.only_standing
         found += [(f"objects.{i}.{name}", why, expected) for name in unused if _is_set(o, name)]
+        if not stands and isinstance(o, MetricObject) and o.size_px is not None and _is_set(o, "range_m"):
+            found.append((f"objects.{i}.range_m", "size_px decides the distance", "size_px: null, to use range_m"))
     if recipe.sensor.headroom and not recipe.matching.uses_headroom:
         found.append(("sensor.headroom", "appearance.mode is artistic", "appearance.mode physical"))
     return [
