@@ -57,7 +57,12 @@ def test_drones_are_as_bright_against_the_sky_as_real_ones(tmp_path, real_data: 
         real_data / "halmstad/backgrounds",
         run,
         reading=api.Reading(splits=["val"]),
-        settings=["output.formats=[coco]", "objects.0.count=1", "configurations=1"],
+        settings=[
+            "output.formats=[coco]",
+            "objects.0.count=1",
+            *(f"objects.{n}.count=0" for n in (1, 2, 3)),
+            "configurations=1",
+        ],
         execution=api.Execution(renderer="flat", in_process=True),
     )
     found = records(run)

@@ -23,7 +23,7 @@ WHOLE = {
     "transfer-car": ("inserted",),
     "transfer-car-by-date": ("inserted",),
     "transfer-deer": ("over-hit-uav", "over-wisard"),
-    "transfer-drone": ("inserted", "any-camera", "confusers"),
+    "transfer-drone": ("inserted", "any-camera"),
     "transfer-person": ("inserted",),
     "visible-vs-thermal": ("aligned", "aligned-test"),
 }
@@ -51,6 +51,7 @@ ABOUT = {
                                    "objects.0.y_m", "appearance.mode", "sensor.profile"},
     },
     "transfer-drone": {
+        "drones-alone": {"objects.1.count", "objects.2.count", "objects.3.count"},
         "flat": {"overlay.flat", "sensor.profile"},
         "no-sensor": {"sensor.profile"},
         "artistic": {"appearance.mode"},

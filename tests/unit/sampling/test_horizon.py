@@ -13,6 +13,7 @@ from infrablend.sampling.scene_sampler import RecipeSampler, sample_scene
 from infrablend.sampling.site import FrameKey, Site
 
 WH = (320, 256)
+ALONE = {f"objects.{n}.count": 0 for n in (1, 2, 3)}  # no birds and aircraft
 
 
 def sky(row=190, noise=1.5):
@@ -22,7 +23,7 @@ def sky(row=190, noise=1.5):
 
 
 def draw(pixels, settings=(), name="a", pitch_deg=None, **site):
-    recipe = load_recipe("drone-sky-halmstad", {"objects.0.count": 1, **dict(settings)})
+    recipe = load_recipe("drone-sky-halmstad", {"objects.0.count": 1, **ALONE, **dict(settings)})
     models = {o.model: load_model(o.model) for o in recipe.objects}
     place = Site(pixels, max_noise_grey=recipe.placement.max_noise_grey, **site)
     key = FrameKey(name, "train", 0, WH, Capture(pitch_deg=pitch_deg))

@@ -22,7 +22,7 @@ MAX_BOXES = 400
 
 @dataclass(frozen=True, eq=False)
 class OwnBoxes:
-    """The boxes that people drew in a dataset; what is visible of their objects is measured once.
+    """The boxes that people drew in a dataset, those of train if there are any; what is visible is measured once.
 
     Attributes:
         dataset: Dataset as read.
@@ -51,6 +51,8 @@ class OwnBoxes:
             for label in sorted(image.instances, key=lambda i: i.box_xyxy.tolist())
             if label.category in classes and _is_drawn(label)
         ]
+        # Those of val and test are for measuring a detector, and must not decide how it is trained.
+        labels = [(image, label) for image, label in labels if image.split == "train"] or labels
         count = min(len(labels), MAX_BOXES)
         chosen: dict[int, tuple[ImageRecord, list[Instance]]] = {}
         for image, label in (labels[k * len(labels) // count] for k in range(count)):
