@@ -59,7 +59,10 @@ def test_weights_of_counts_empty_frames_and_the_first_class_count() -> None:
     assert chosen(images, "objects.0.count={values: [0, 4], weights: [1, 3]}").number == 2
     assert chosen(images, "empty_share=0.5").number == 8
     two = "[{model: drone}, {model: deer, count: 9}, {model: drone, count: 3}, {model: deer, category: drone}]"
-    assert chosen(images, f"objects={two}").per_scene == 500 * 5
+    found = chosen(images, f"objects={two}")
+    assert (found.per_scene, found.rarest, found.number) == (500 * 5, 500, 4)
+    assert "about 10,000 objects of class drone" in found.describe()
+    assert "2,000 or more by each of their entries" in found.describe()
     assert chosen(images, "objects.0.count=0").number == 1
     by_flight = "objects.0.count={values: [1], by_flight: [{time_of_day: night, values: [3]}]}"
     mixed = [*pictures(100, time_of_day="night"), *pictures(100, time_of_day="day")]

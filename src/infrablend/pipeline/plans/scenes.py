@@ -11,7 +11,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord
 
 WANTED_OBJECTS = 2000
-"""Objects of the first object's class that a run asks for to train on, at least: some find no place."""
+"""Objects to train on that a run asks for, at least, of each entry with the first entry's class: some find no place."""
 MOST_SCENES = 16
 """Most scenes per background: more show the same few backgrounds again and again."""
 CHOICE = "configurations"
@@ -27,6 +27,8 @@ class Scenes:
         number: Scenes per background.
         category: Class of the objects that were counted.
         per_scene: Mean number of them in one scene of each counted background, before places are looked for.
+        rarest: The same for the entry of `objects` that adds the fewest: entries differ in look, and a detector has to
+            see enough of each.
         backgrounds: Number of backgrounds that were counted.
         split: Split that these are all in; empty for all backgrounds of the dataset.
     """
@@ -34,6 +36,7 @@ class Scenes:
     number: int
     category: str
     per_scene: float
+    rarest: float
     backgrounds: int
     split: str
 
@@ -44,7 +47,9 @@ class Scenes:
         text = f"{scenes} of each of {self.backgrounds:,} backgrounds, {objects}"
         if self.split:
             text = f"{scenes} of each background, {objects} in the {self.backgrounds:,} backgrounds of {self.split}"
-        if self.number == MOST_SCENES and self.number * self.per_scene < WANTED_OBJECTS:
+        if self.rarest < self.per_scene:
+            text += f", {self.number * self.rarest:,.0f} or more by each of their entries"
+        if self.number == MOST_SCENES and self.number * self.rarest < WANTED_OBJECTS:
             text += f", fewer than {WANTED_OBJECTS:,}, as {MOST_SCENES} scenes are the most"
         return f"{text} (configurations: {AUTO})"
 
@@ -55,7 +60,7 @@ def scenes_fact(request: Mapping[str, object]) -> list[tuple[str, str]]:
 
 
 def choose_scenes(recipe: Recipe, classes: Sequence[str], usable: Sequence[ImageRecord]) -> Scenes:
-    """Return the number of scenes per background that comes nearest to `WANTED_OBJECTS`.
+    """Return the smallest number of scenes per background that asks for `WANTED_OBJECTS`.
 
     Args:
         recipe: Recipe with `configurations: auto`.
@@ -64,24 +69,27 @@ def choose_scenes(recipe: Recipe, classes: Sequence[str], usable: Sequence[Image
     """
     of_train = [image for image in usable if image.split == _TRAIN]
     counted = of_train or usable
-    per_scene = math.fsum(_mean_of_first(recipe, classes, image.capture) for image in counted)
+    by_entry = _means_of_first(recipe, classes, [image.capture for image in counted])
+    rarest = min((mean for mean in by_entry if mean), default=0.0)
     split = _TRAIN if of_train else ""
-    return Scenes(_number(per_scene), classes[0], per_scene, len(counted), split)
+    return Scenes(_number(rarest), classes[0], math.fsum(by_entry), rarest, len(counted), split)
 
 
 def about_scenes(recipe: Recipe, pictures: int) -> int:
     """Return the scenes per background where no more is known of the backgrounds than the number of those to count."""
     if recipe.configurations != AUTO:
         return recipe.configurations
-    return _number(pictures * _mean_of_first(recipe, [o.category or o.model for o in recipe.objects], Capture()))
+    classes = [o.category or o.model for o in recipe.objects]
+    by_entry = _means_of_first(recipe, classes, [Capture()] * pictures)
+    return _number(min((mean for mean in by_entry if mean), default=0.0))
 
 
-def _mean_of_first(recipe: Recipe, classes: Sequence[str], picture: Capture) -> float:
-    """Return the mean number of objects of the first object's class in a picture."""
+def _means_of_first(recipe: Recipe, classes: Sequence[str], pictures: Sequence[Capture]) -> list[float]:
+    """Return, for each entry with the first entry's class, the mean number of its objects in one scene of pictures."""
     kinds = [kind for kind, name in zip(recipe.objects, classes, strict=True) if name == classes[0]]
-    return (1 - recipe.empty_share) * math.fsum(kind.mean_count(picture) for kind in kinds)
+    return [(1 - recipe.empty_share) * math.fsum(map(kind.mean_count, pictures)) for kind in kinds]
 
 
-def _number(per_scene: float) -> int:
-    """Return the number of scenes for a mean number of objects in one scene of each background."""
-    return min(MOST_SCENES, math.ceil(WANTED_OBJECTS / per_scene)) if per_scene else 1
+def _number(rarest: float) -> int:
+    """Return the number of scenes for the mean number of the rarest entry's objects in one scene of each background."""
+    return min(MOST_SCENES, math.ceil(WANTED_OBJECTS / rarest)) if rarest else 1
