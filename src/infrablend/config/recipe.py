@@ -1248,8 +1248,8 @@ class _Sections(Strict):
     """One sentence on its purpose."""
     configurations: Annotated[int, Field(ge=1, le=MAX_CONFIGURATIONS)] | Literal["auto"] = 1
     """Scenes per background. `auto`: as many as ask for 2,000 objects of each entry with the first entry's class, in
-    the usable backgrounds of train, or in all of them where there is no train split; 1 to 16. Not for objects with motion.
-    Paper: N_config = 2 for HIT-UAV, 1 for MONET."""
+    the usable backgrounds of train, or in all of them where there is no train split; 1 to 16. Not for objects with
+    motion. Paper: N_config = 2 for HIT-UAV, 1 for MONET."""
     empty_share: float = Field(0.0, ge=0, le=1)
     """Share of frames without any insert."""
     data: Data = Data()
