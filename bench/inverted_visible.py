@@ -3,7 +3,7 @@
     .venv/bin/python bench/inverted_visible.py DATA OUT [--split train] [--every 2]
     .venv/bin/infrablend evaluate WEIGHTS OUT/dataset --split test --out DIR
 
-Drones in front of a bright sky become bright ones in front of a dark sky, larger than those of the thermal clips at hand.
+Drones in front of a bright sky become bright ones in front of a dark sky, larger than those of the thermal clips.
 Those that reflect the sun become dark, as no thermal camera shows them: figures compare detectors with each other only.
 """
 
