@@ -51,7 +51,7 @@ ABOUT = {
                                    "objects.0.y_m", "appearance.mode", "sensor.profile"},
     },
     "transfer-drone": {
-        "drones-alone": {"objects.1.count", "objects.2.count", "objects.3.count"},
+        "alone": {"objects.1.count", "objects.2.count", "objects.3.count"},
         "flat": {"overlay.flat", "sensor.profile"},
         "no-sensor": {"sensor.profile"},
         "artistic": {"appearance.mode"},

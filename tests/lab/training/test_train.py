@@ -326,8 +326,8 @@ def test_plan_lists_shown_images_and_output(ultralytics, tmp_path, monkeypatch):
 
     data = yolo(tmp_path / "data", {"train": 4})
     plan = plan_train(data, device="cpu")
-    assert (plan.images, plan.shown, plan.epochs, plan.device) == (4, 800, 20, "cpu")
-    assert (plan.tiled, plan.tile_px) == (True, 320)
+    assert (plan.images, plan.shown, plan.epochs, plan.device) == (6, 800, 20, "cpu")
+    assert (plan.tiled, plan.tile_px) == (True, 224)  # pictures are 240 px high
     assert plan.disk_bytes > 4 * 3.2e6 * 6
     assert plan_train(data, device="cpu", settings={"model": "yolov8x"}).disk_bytes > 1.6e9
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)

@@ -20,7 +20,7 @@ from infrablend.sampling.weather import used_time
 from tests.recipes import load_anywhere
 
 SITE = Site(np.full((512, 640), 120, np.uint8), altitude_m=60.0)
-MODELS = {name: load_model(name) for name in ("person", "car", "deer", "drones")}
+MODELS = {n: load_model(n) for n in ("person", "car", "deer", "drones", "bird", "airplane", "helicopter")}
 RECIPES = {"person": "hit-uav-person", "car": "hit-uav-car", "deer": "monet-deer-physical", "drones": "drone-sky"}
 AIR = "environment.air_temperature_c=10"
 KUNMING = {"latitude_deg": 25.0, "longitude_deg": 102.7}
