@@ -23,7 +23,10 @@ _TEXT_HEIGHT = (0.02, 0.05)
 _LEAST_TEXT_PX = 6.0
 _RETICLE = (0.06, 0.35)
 # Shares of the pictures with graphics that have each kind of them.
-_WITH_TEXT, _WITH_RETICLE, _WITH_BAR, _WITH_DEAD_EDGE = 0.85, 0.6, 0.15, 0.3
+_WITH_TEXT = 0.85
+_WITH_RETICLE = 0.6
+_WITH_BAR = 0.15
+_WITH_DEAD_EDGE = 0.3
 # How far graphics stay away from labelled objects, px.
 _CLEAR_PX = 2
 

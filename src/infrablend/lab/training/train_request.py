@@ -57,7 +57,7 @@ class TrainRequest:
         return choose_preset(self.preset, self.settings)
 
     def with_fitting_tiles(self, dataset: Dataset) -> TrainRequest:
-        """Return the request with tiles that are no larger than half of the pictures to train on.
+        """Return the request with tiles no larger than the median of the shorter sides of the pictures to train on.
 
         Larger tiles would have a grey border in every picture, always of the same width, which other programs do not
         add when they show pictures to the detector. A request that states a size keeps it.

@@ -312,7 +312,19 @@ def _train(job: Job, say: Any) -> None:
         if not begun.ended and begun.epochs < job.epochs:
             trainer.train()
     best = out / RUN / "weights" / "best.pt"
-    chosen = best if job.patience and best.is_file() else checkpoint
+    _write_weights(job, best if job.patience and best.is_file() else checkpoint, out / WEIGHTS)
+    reached = _read_checkpoint(checkpoint, torch)
+    say("end", epochs=reached.epochs, gate=reached.gate, losses=reached.losses,
+        batch=reached.batch or min(job.batch, job.images), short_of_memory=reached.short_of_memory,
+        precision="amp" if not on_cpu else precision, threads=torch.get_num_threads(),
+        versions={"ultralytics": ultralytics.__version__, "torch": torch.__version__})  # fmt: skip
+
+
+def _write_weights(job: Job, checkpoint: Path, weights: Path) -> None:
+    """Write the weights of a checkpoint, with the scale at which the detector has to see pictures."""
+    import torch
+    from ultralytics.utils import torch_utils
+
     updates = {
         MARK: {"tile": job.tile, "image_size": job.image_size} | ({} if job.agc is None else {"agc": job.agc}),
         REACHED: None,
@@ -320,15 +332,10 @@ def _train(job: Job, say: Any) -> None:
     if job.picture_px:
         # Ultralytics' own commands scale pictures to this size unless they are given another; that of tiles would
         # make objects smaller than they were in training.
-        arguments = torch.load(chosen, map_location="cpu", weights_only=False)["train_args"]
+        arguments = torch.load(checkpoint, map_location="cpu", weights_only=False)["train_args"]
         updates["train_args"] = {**arguments, "imgsz": job.picture_px}
-    with replace_atomically(out / WEIGHTS) as temporary:
-        torch_utils.strip_optimizer(chosen, temporary, updates=updates)
-    reached = _read_checkpoint(checkpoint, torch)
-    say("end", epochs=reached.epochs, gate=reached.gate, losses=reached.losses,
-        batch=reached.batch or min(job.batch, job.images), short_of_memory=reached.short_of_memory,
-        precision="amp" if not on_cpu else precision, threads=torch.get_num_threads(),
-        versions={"ultralytics": ultralytics.__version__, "torch": torch.__version__})  # fmt: skip
+    with replace_atomically(weights) as temporary:
+        torch_utils.strip_optimizer(checkpoint, temporary, updates=updates)
 
 
 def _overrides(job: Job, out: Path, resumed: Path | None) -> dict[str, object]:

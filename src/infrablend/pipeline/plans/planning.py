@@ -103,15 +103,7 @@ def make_plan(
     recipe, boxes = with_measured_boxes(recipe, classes, own_boxes or OwnBoxes(dataset))
 
     stands = all(m.stands for m in models.values())
-    request: dict[str, object] = {}
-    if recipe.configurations == AUTO:
-        # Of all backgrounds, so that a choice of frames gives those of a full run.
-        of_all, _ = usable_images(recipe, renamed, renamed.images, stands)
-        scenes = choose_scenes(recipe, classes, of_all)
-        recipe = recipe.model_copy(update={"configurations": scenes.number})
-        if selection.pictures is None:
-            part = "" if selection == ALL_FRAMES else "as in a run of all frames: "
-            request = {CHOICE: part + scenes.describe()}
+    recipe, request = _with_scenes(recipe, classes, renamed, selection, stands)
     names = frame_names(renamed.images, recipe)
     images = selection.backgrounds(renamed.images, seed)
     chosen = None
@@ -227,6 +219,22 @@ def _key(recipe: Recipe, seed: int, used: Dataset) -> dict[str, Any]:
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
     return key
+
+
+def _with_scenes(
+    recipe: Recipe, classes: Sequence[str], dataset: Dataset, selection: FrameSelection, stands: bool
+) -> tuple[Recipe, dict[str, object]]:
+    """Return a recipe with a number in place of `configurations: auto`, and what the run's request says of it."""
+    if recipe.configurations != AUTO:
+        return recipe, {}
+    # Of all backgrounds, so that a choice of frames gives those of a full run.
+    of_all, _ = usable_images(recipe, dataset, dataset.images, stands)
+    scenes = choose_scenes(recipe, classes, of_all)
+    chosen = recipe.model_copy(update={"configurations": scenes.number})
+    if selection.pictures is not None:  # which replaces the number
+        return chosen, {}
+    part = "" if selection == ALL_FRAMES else "as in a run of all frames: "
+    return chosen, {CHOICE: part + scenes.describe()}
 
 
 def _configurations(originals: bool, count: int) -> list[int | None]:

@@ -70,9 +70,8 @@ def choose_scenes(recipe: Recipe, classes: Sequence[str], usable: Sequence[Image
     of_train = [image for image in usable if image.split == _TRAIN]
     counted = of_train or usable
     by_entry = _means_of_first(recipe, classes, [image.capture for image in counted])
-    rarest = min((mean for mean in by_entry if mean), default=0.0)
     split = _TRAIN if of_train else ""
-    return Scenes(_number(rarest), classes[0], math.fsum(by_entry), rarest, len(counted), split)
+    return Scenes(_number(by_entry), classes[0], math.fsum(by_entry), _rarest(by_entry), len(counted), split)
 
 
 def about_scenes(recipe: Recipe, pictures: int) -> int:
@@ -80,8 +79,7 @@ def about_scenes(recipe: Recipe, pictures: int) -> int:
     if recipe.configurations != AUTO:
         return recipe.configurations
     classes = [o.category or o.model for o in recipe.objects]
-    by_entry = _means_of_first(recipe, classes, [Capture()] * pictures)
-    return _number(min((mean for mean in by_entry if mean), default=0.0))
+    return _number(_means_of_first(recipe, classes, [Capture()] * pictures))
 
 
 def _means_of_first(recipe: Recipe, classes: Sequence[str], pictures: Sequence[Capture]) -> list[float]:
@@ -90,6 +88,11 @@ def _means_of_first(recipe: Recipe, classes: Sequence[str], pictures: Sequence[C
     return [(1 - recipe.empty_share) * math.fsum(map(kind.mean_count, pictures)) for kind in kinds]
 
 
-def _number(rarest: float) -> int:
-    """Return the number of scenes for the mean number of the rarest entry's objects in one scene of each background."""
+def _rarest(by_entry: Sequence[float]) -> float:
+    return min((mean for mean in by_entry if mean), default=0.0)
+
+
+def _number(by_entry: Sequence[float]) -> int:
+    """Return the number of scenes for the mean numbers of objects in one scene of each background, by entry."""
+    rarest = _rarest(by_entry)
     return min(MOST_SCENES, math.ceil(WANTED_OBJECTS / rarest)) if rarest else 1
