@@ -133,6 +133,10 @@ def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path, m
     assert sorted(p.name for p in report.out.iterdir()) == left
     # The weights alone, away from train.json, still carry the scale of the training: tiles at native resolution.
     moved = shutil.copy(report.weights, tmp_path / "detector.pt")
+    import ultralytics as of_others
+
+    # Other programs show pictures at that scale, too: 320 is the longer side of the pictures, 160 that of the tiles.
+    assert of_others.YOLO(str(moved)).overrides["imgsz"] == 320
     detector = api.evaluate(moved, data, tmp_path / "test", device="cpu").metrics["detector"]
     assert detector["image_size"] == 0
     assert detector["image_size_from"] == "trained on tiles of 160 px at native resolution"
