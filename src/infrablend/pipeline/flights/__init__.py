@@ -1,0 +1,1 @@
+"""Flights: what a detector finds in them, where that is, and how likely something was missed."""
