@@ -50,7 +50,7 @@ class DetectionSource:
         self._saved: Predictions | None = None
         self._detector: predict.Detector | None = None
         try:
-            file = _file_of(path)
+            file = file_of(path)
             if file.suffix == ".json":
                 self._saved = read_predictions(file, images, categories)
                 self.classes = self._saved.classes
@@ -98,7 +98,7 @@ class DetectionSource:
         return predict.predict(self._detector, images, image_size=image_size, on_image=on_image, fit=fit)
 
 
-def _file_of(path: Path) -> Path:
+def file_of(path: Path) -> Path:
     """Return the file to use from a folder: detections of an evaluation, or weights of a training.
 
     Raises:
