@@ -19,6 +19,7 @@ from infrablend.detection.matching import SIZE_BINS
 from infrablend.detection.recall import Share, difference, weighted_share, weights_of_sizes
 from infrablend.detection.sightings import Sighting
 from infrablend.errors import ArgumentError
+from infrablend.pipeline.flights.corrected_counts import CountFacts, count_looks
 from infrablend.pipeline.flights.insert_trials import Trials
 from infrablend.report.figures import stratum_order
 
@@ -225,6 +226,7 @@ class MeasuredFacts(TypedDict):
     confidences: list[AlarmFacts]
     cells: list[CellFacts]
     tracks: RecallFacts | None
+    counted: CountFacts
     pictures: int
     weighted_by: str
     real_of_other_sizes: int
@@ -236,7 +238,7 @@ def measured_facts(trials: Trials, settings: DetectabilitySettings) -> MeasuredF
     sizes = sizes_of(trials, settings)
     real = trials.real()
     whole = Comparison.of(trials.inserted, real, sizes)
-    scores = [np.asarray(picture.alarm_scores) for picture in trials.searched.values()]
+    scores = [picture.found.scores[picture.alarms] for picture in trials.searched.values()]
     alarms = np.concatenate(scores) if scores else np.zeros(0)
     pictures = len(trials.searched)
     return {
@@ -255,6 +257,7 @@ def measured_facts(trials: Trials, settings: DetectabilitySettings) -> MeasuredF
         ],
         "cells": list(_cells(trials.inserted, real, settings, weighted=sizes is not None)),
         "tracks": _by_track(trials.inserted, settings.confidence),
+        "counted": count_looks(trials, settings.confidence, labelled=len(real) > 0),
         "pictures": pictures,
         "weighted_by": "sizes of the labelled objects" if sizes is not None and len(sizes.px) else "nothing",
         "real_of_other_sizes": whole.left_out,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import ImageRecord, Instance, known_class
+from infrablend.core.ground_position import ground_pixel_m, pose_of
 from infrablend.core.rng import stream
 from infrablend.core.temperature import TemperatureScale
 from infrablend.detection.detections import Detections, FloatArray
@@ -32,6 +33,9 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 # Half-open ranges of contrast, 8-bit levels, and of the visible share.
 _CONTRAST_GREY = (0.0, 15.0, 30.0, 60.0, 120.0)
 _VISIBLE = (0.0, 0.5, 0.8, 0.999)
+GROUND_PIXEL_CM = (0.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0)
+"""Edges of the ranges of what a pixel covers of the ground, across the line of sight."""
+UNKNOWN_TIME = "unknown"
 
 
 class Finder(Protocol):
@@ -81,13 +85,13 @@ class SearchedPicture:
         image: Record of the picture.
         found: Detections of the class, in descending order of their scores.
         real: Labelled objects of the class.
-        alarm_scores: (n,) scores of the detections that see no labelled object.
+        alarms: (n,) whether a detection sees no labelled object.
     """
 
     image: ImageRecord
     found: Detections
     real: list[Sighting]
-    alarm_scores: FloatArray
+    alarms: NDArray[np.bool_]
 
 
 @dataclass
@@ -170,7 +174,7 @@ class Trials:
         regions = [i for i in image.instances if i.category in self.rules.ignored or (i.is_crowd and i not in ours)]
         scores, near, alarms = match_scores(_boxes(ours), _boxes(regions), found, self.rules.least_overlap)
         real = [self._sighting(image, i, scores[k], near[k]) for k, i in enumerate(ours)]
-        self.searched[key] = SearchedPicture(image, found, real, found.scores[alarms])
+        self.searched[key] = SearchedPicture(image, found, real, alarms)
         return self.searched[key]
 
     def real(self) -> list[Sighting]:
@@ -192,7 +196,8 @@ class Trials:
     ) -> Sighting:
         key = image_key(image)
         capture = image.capture
-        conditions = {"time": capture.time_of_day or UNKNOWN_TIME}
+        middle = (instance.box_xyxy[:2] + instance.box_xyxy[2:]) / 2
+        conditions = look_conditions(image, middle[None])[0]
         if capture.altitude_m is not None:
             conditions["height"] = f"{capture.altitude_m:.0f} m"
         if capture.pitch_deg is not None:
@@ -221,7 +226,20 @@ class Trials:
         )
 
 
-UNKNOWN_TIME = "unknown"
+def look_conditions(image: ImageRecord, xy: FloatArray) -> list[dict[str, str]]:
+    """Return what is known of a look at each of (n, 2) places of a picture, px, whatever is there.
+
+    The time of day, and the ground that a pixel covers where the camera's pose is known.
+    """
+    time = {"time": image.capture.time_of_day or UNKNOWN_TIME}
+    pose = pose_of(image)
+    if isinstance(pose, str):
+        return [dict(time) for _ in xy]
+    found = []
+    for ground_m in ground_pixel_m(pose, xy):
+        known = {"ground pixel": in_range(100 * ground_m, GROUND_PIXEL_CM, "cm")} if np.isfinite(ground_m) else {}
+        found.append(time | known)
+    return found
 
 
 def in_range(value: float, edges: Sequence[float], unit: str = "") -> str:
