@@ -1,0 +1,1 @@
+"""Answers about a flight: what a detector finds in its pictures."""
