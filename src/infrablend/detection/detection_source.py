@@ -12,7 +12,7 @@ from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.workspace import unfinished
 from infrablend.detection import predict
 from infrablend.detection.detections import MAX_DETECTIONS, PREDICTIONS, TASKS, Predictions, Task, read_predictions
-from infrablend.detection.scale import WEIGHTS
+from infrablend.detection.scale import ONNX_WEIGHTS, WEIGHTS
 from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, ModelError, Problem
 
@@ -106,7 +106,7 @@ def file_of(path: Path) -> Path:
     """
     if not path.is_dir() and (path.exists() or unfinished(path) is None):
         return path
-    for file in (PREDICTIONS, WEIGHTS):
+    for file in (PREDICTIONS, WEIGHTS, ONNX_WEIGHTS):
         if (path / file).is_file():
             return path / file
     found = unfinished(path)
