@@ -1,1 +1,1 @@
-"""Answers about a flight: what a detector finds in its pictures."""
+"""Flights: what a detector finds in them, where that is, and how likely something was missed."""
