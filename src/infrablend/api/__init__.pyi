@@ -15,6 +15,7 @@ from infrablend.api.datasets import (
     read_dataset as read_dataset,
     split as split,
 )
+from infrablend.api.flights import detect as detect
 from infrablend.lab.interface import (
     compare_evaluations as compare_evaluations,
     evaluate as evaluate,
@@ -83,6 +84,8 @@ from infrablend.pipeline.compose.extensions import (
     SceneRequest as SceneRequest,
     SceneSampler as SceneSampler,
 )
+from infrablend.pipeline.flights.detect import DetectReport as DetectReport
+from infrablend.pipeline.flights.detect_request import DetectRequest as DetectRequest
 from infrablend.pipeline.extraction.clips import FrameChoice as FrameChoice
 from infrablend.pipeline.extraction.clips import FlightFacts as FlightFacts
 from infrablend.pipeline.plans.selection import FrameSelection as FrameSelection
