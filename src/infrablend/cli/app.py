@@ -50,6 +50,7 @@ COMMANDS: dict[str, _Function | str] = {
     "evaluate": "infrablend.lab.lab_commands:evaluate",
     "experiment": "infrablend.lab.lab_commands:experiment",
     "detect": flight_commands.detect,
+    "detectability": flight_commands.detectability,
     "frames": camera_commands.frames,
     "temperatures": camera_commands.temperatures,
     "world": "infrablend.lab.lab_commands:world",

@@ -183,7 +183,7 @@ def _shift(first: View, second: View, guess: Matrix) -> Shift | None:
     if abs(float(np.sqrt(abs(np.linalg.det(matrix[:2, :2])))) - 1) > _MOST_ZOOM:
         return None
     apart = np.linalg.norm(moved(begin[fits], matrix) - end[fits], axis=1)
-    error = _error(begin[fits], apart, first.size_wh)
+    error = matrix_error(begin[fits], apart, first.size_wh)
     return Shift(matrix, len(begin), int(fits.sum()), float(np.median(apart)), error)
 
 
@@ -217,7 +217,7 @@ def _model(begin: Points, end: Points) -> tuple[Matrix | None, NDArray[np.bool_]
     return np.vstack([similar, [0, 0, 1]]).astype(np.float64), kept
 
 
-def _error(begin: Points, apart: NDArray[np.float64], size_wh: tuple[int, int]) -> float:
+def matrix_error(begin: Points, apart: NDArray[np.float64], size_wh: tuple[int, int]) -> float:
     """Return the standard error of a similarity at the picture's corner farthest from the points it was fitted to."""
     n = len(begin)
     middle = begin.mean(axis=0)

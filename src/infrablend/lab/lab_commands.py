@@ -28,6 +28,7 @@ from infrablend.cli.options import (
     split_list,
 )
 from infrablend.cli.output import grid, human_bytes, print_problems, print_result, show_result, shown_progress, table
+from infrablend.errors import ArgumentError
 from infrablend.lab.experiments.experiment_request import EXPERIMENTS
 from infrablend.report.figures import human_seconds
 
@@ -429,12 +430,30 @@ def world(
         ),
     ] = "hit-uav",
     seed: SeedOption = 0,
+    overlap: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            help="With --layout flight: parallel strips, whose pictures and strips show this share of each other, 0.2 "
+            "to 0.9, and which state position and yaw.",
+        ),
+    ] = None,
+    yaw_error: Annotated[
+        float, typer.Option(metavar="DEGREES", help="With --overlap: by how much the stated yaw is too large.")
+    ] = 0.0,
+    walking: Annotated[bool, typer.Option("--walking", help="With --overlap: people walk.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier world in DIR.")] = False,
     workers: WorkersOption = None,
 ) -> None:
     """Render a background dataset of a virtual thermal world, as HIT-UAV, MONET, a camera's files or a flight."""
+    from infrablend.lab.world.world_frames import Survey
+
+    if overlap is None and (yaw_error or walking):
+        raise ArgumentError("--yaw-error, --walking: found no --overlap, expected one, such as --overlap 0.7")
+    survey = None if overlap is None else Survey(overlap, yaw_error, walking)
     with shown_progress(session, "rendering") as on_progress:
         folder = api.make_world(
-            out, count, seed, layout=layout, workers=workers, overwrite=overwrite, on_progress=on_progress
-        )
+            out, count, seed, layout=layout, survey=survey, workers=workers, overwrite=overwrite,
+            on_progress=on_progress,
+        )  # fmt: skip
     print_result(str(folder))

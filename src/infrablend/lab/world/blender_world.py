@@ -26,6 +26,7 @@ from infrablend.lab.world.scene_plan import WorldPlan
 from infrablend.lab.world.thermal_surfaces import Surface, placed
 from infrablend.lab.world.vehicles import vehicle
 from infrablend.lab.world.world_flight import Flight, begin_flight, flight_frame
+from infrablend.lab.world.world_survey import SurveyFlight, begin_survey, survey_frame
 from infrablend.rendering.engine.process import BlenderProcess
 from infrablend.rendering.engine.programs import find_blender
 from infrablend.rendering.engine.renderer import camera_message, channel
@@ -171,11 +172,16 @@ class WorldWorker:
         self._folder = folder
         self._renderer = WorldRenderer()
         self._flight: Flight | None = None
+        self._survey: SurveyFlight | None = None
 
     def __call__(self, task: Task) -> FinishedFrame:
         """Render the `FrameFacts` in the payload of a task."""
         if not task.payload.flight:
             return make_frame(task.payload, self._seed, self._renderer, self._folder)
+        if task.payload.survey is not None:
+            if self._survey is None:
+                self._survey = begin_survey(task.payload, self._seed, self._renderer)
+            return survey_frame(self._survey, task.payload, self._folder)
         if self._flight is None:
             self._flight = begin_flight(task.payload, self._seed, self._renderer)
         return flight_frame(self._flight, task.payload, self._folder)

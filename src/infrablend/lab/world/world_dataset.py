@@ -23,12 +23,13 @@ from infrablend.core.files import link_or_copy, write_bytes
 from infrablend.core.rng import stream
 from infrablend.core.tasks import OnProgress, Task, WorkerSpec, paced
 from infrablend.core.workspace import WORLD_FILE, replacing, workspace
+from infrablend.errors import ArgumentError
 from infrablend.formats.labels import coco, mot
 from infrablend.formats.pictures.images import png_bytes
 from infrablend.formats.published import hit_uav, monet
 from infrablend.lab.world.frame_files import FinishedFrame
 from infrablend.lab.world.rjpeg_writing import MAKERS
-from infrablend.lab.world.world_frames import MONET_CATEGORIES, FrameFacts, Layout, plan_frames
+from infrablend.lab.world.world_frames import MONET_CATEGORIES, FrameFacts, Layout, Survey, plan_frames
 from infrablend.pipeline.execution.process_pool import PoolSettings, ProcessPool
 
 # Renders the given frames, writes their images below the given folder, and yields them in any order.
@@ -37,6 +38,7 @@ FrameSource = Callable[[Sequence[FrameFacts], Path], Iterable[FinishedFrame]]
 _PICTURES = ".frames"
 _TOP = {"info": {"description": "InfraBlend virtual thermal world in HIT-UAV layout"}, "licenses": []}
 _RADIOMETRIC_INFO = {"description": "InfraBlend virtual thermal world, temperatures"}
+_SURVEY_INFO = {"description": "InfraBlend virtual thermal world, a survey"}
 _MONET_TOP = {"info": {"description": "InfraBlend virtual thermal world in MONET layout"}, "licenses": []}
 
 
@@ -54,17 +56,22 @@ class WorldRequest:
             `dji`, `flir`: the radiometric JPEG files of one flight as they come off the card, without labels.
             `flight`: 640x512 PNG of one flight over one scene, a sequence of 25 frames per second with the tracks of
             people, cars and bicycles in MOTChallenge's layout, and telemetry in `metadata.csv`.
+        survey: For `flight`: parallel strips with overlap, in COCO's layout with positions and times; None for a
+            smooth course of 25 frames per second.
 
     Raises:
-        ArgumentError: There is no such layout.
+        ArgumentError: There is no such layout, or another one than `flight` has a survey.
     """
 
     count: int
     seed: int = 0
     layout: Layout = "hit-uav"
+    survey: Survey | None = None
 
     def __post_init__(self) -> None:
         require_choice("layout", self.layout, get_args(Layout))
+        if self.survey is not None and self.layout != "flight":
+            raise ArgumentError(f"survey: found layout {self.layout}, expected flight, which alone has strips")
 
 
 def write_world(
@@ -85,7 +92,7 @@ def write_world(
         OutputError: `out` has something that may not be replaced, or cannot be written.
         RenderError: Blender failed.
     """
-    frames = plan_frames(request.count, request.seed, request.layout)
+    frames = plan_frames(request.count, request.seed, request.layout, request.survey)
     finished: dict[int, FinishedFrame] = {}
 
     with workspace(Path(out), "virtual world", WORLD_FILE, replacing(overwrite)) as space:
@@ -95,14 +102,17 @@ def write_world(
             if progress is not None:
                 progress(len(finished), len(frames))
         ordered = [finished[f.number] for f in frames]
-        _write(space.folder, request.layout, [one.image for one in ordered])
+        _write(space.folder, request, [one.image for one in ordered])
         shutil.rmtree(pictures)  # the dataset has links to them
         space.finish({"seed": request.seed, "frames": [one.facts for one in ordered]})
 
 
-def _write(out: Path, layout: Layout, images: Sequence[ImageRecord]) -> None:
+def _write(out: Path, request: WorldRequest, images: Sequence[ImageRecord]) -> None:
+    layout = request.layout
     if layout == "monet":
         monet.write(out, images, MONET_CATEGORIES, extra=_MONET_TOP)
+    elif request.survey is not None:
+        coco.write(out, images, [c for c in hit_uav.CATEGORIES if not c.ignore], info=_SURVEY_INFO, pictures=True)
     elif layout == "flight":
         mot.write(out, images, [c for c in hit_uav.CATEGORIES if not c.ignore])
     elif layout in MAKERS:

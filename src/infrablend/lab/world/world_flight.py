@@ -3,7 +3,8 @@
 The scene is rendered once, from far up, as a picture several times as wide and as high as a frame, the map. A frame is
 the window of the map that the camera sees at its moment, resampled, with its labels carried along. This leaves out what
 views of a camera near the ground differ in: parallax, and that things lean outwards towards the edges. The camera has
-no motion blur, and the people and cars of the scene stand still.
+no motion blur, and the people and cars of the scene stand still. `world_survey` has the other course, of parallel
+strips with overlap, and people who walk.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_of_points, clip_convex, corners_of_box, polygon_area
-from infrablend.core.capture import Capture
+from infrablend.core.capture import UNKNOWN, Capture
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.files import write_bytes
 from infrablend.core.mesh import FloatArray
@@ -140,13 +141,19 @@ class Flight:
     quality: int
 
 
-def begin_flight(frame: FrameFacts, seed: int, renderer: PlanRenderer) -> Flight:
-    """Draw the scene below a flight and render its map; `frame` is any frame of it."""
+def flight_plan(frame: FrameFacts, seed: int) -> WorldPlan:
+    """Draw the scene below a flight; `frame` is any frame of it."""
     w, h = frame.size_wh
-    plan = sample_world(
+    return sample_world(
         stream(seed, "world", "flight", "plan"), 90, _FARTHER * frame.altitude_m, frame.time_of_day, frame.kind,
         (ACROSS * w, ACROSS * h), _FARTHER / ACROSS * FOCAL_PX,
     )  # fmt: skip
+
+
+def begin_flight(frame: FrameFacts, seed: int, renderer: PlanRenderer, plan: WorldPlan | None = None) -> Flight:
+    """Render the map of a flight; `frame` is any frame of it, `plan` the scene, drawn if it is None."""
+    w, h = frame.size_wh
+    plan = flight_plan(frame, seed) if plan is None else plan
     kelvin, labels = renderer.render(plan)
     rng = stream(seed, "world", "flight", "look")
     stripes = np.float32(_STRIPES_GREY) * rng.standard_normal((1, w)).astype(np.float32)
@@ -163,9 +170,19 @@ def begin_flight(frame: FrameFacts, seed: int, renderer: PlanRenderer) -> Flight
     )
 
 
-def flight_frame(flight: Flight, frame: FrameFacts, folder: Path) -> FinishedFrame:
-    """Write the image of a frame of a flight to `folder`/<split>/."""
-    pose = find_pose(flight.seed, frame.number, frame.size_wh)
+def flight_frame(
+    flight: Flight, frame: FrameFacts, folder: Path, pose: Pose | None = None, header: Capture = UNKNOWN
+) -> FinishedFrame:
+    """Write the image of a frame of a flight to `folder`/<split>/.
+
+    Args:
+        flight: What all frames share.
+        frame: The frame.
+        folder: Folder of the images.
+        pose: Where the camera looks; None for a smooth course.
+        header: What the camera states of the picture; the truth where it states nothing.
+    """
+    pose = find_pose(flight.seed, frame.number, frame.size_wh) if pose is None else pose
     matrix = pose.to_map(frame.size_wh)
     path = folder / frame.split / frame.name
     write_bytes(path, png_bytes(_picture(flight, pose, matrix, frame)))
@@ -177,14 +194,16 @@ def flight_frame(flight: Flight, frame: FrameFacts, folder: Path) -> FinishedFra
         split=frame.split,
         size_wh=frame.size_wh,
         instances=tuple(seen),
-        capture=Capture(
-            pitch_deg=90.0,
-            altitude_m=round(camera.distance_m, 3),
-            time_of_day=frame.time_of_day,
-            hfov_deg=round(math.degrees(2 * math.atan(frame.size_wh[0] / 2 / camera.focal_px)), 4),
-            sequence=frame.sequence,
-            frame=frame.index,
-            time_s=round(frame.index / FPS, 6),
+        capture=header.over(
+            Capture(
+                pitch_deg=90.0,
+                altitude_m=round(camera.distance_m, 3),
+                time_of_day=frame.time_of_day,
+                hfov_deg=round(math.degrees(2 * math.atan(frame.size_wh[0] / 2 / camera.focal_px)), 4),
+                sequence=frame.sequence,
+                frame=frame.index,
+                time_s=round(frame.index / FPS, 6),
+            )
         ),
         file_name=frame.name,
     )

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from typing import Literal
 
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import SPLITS, Category, Split
 from infrablend.core.rng import stream
-from infrablend.errors import Problem, RecipeError
+from infrablend.errors import ArgumentError, Problem, RecipeError
 from infrablend.lab.world.rjpeg_writing import MAKERS, Maker
 from infrablend.lab.world.scene_plan import PlaceKind
 from infrablend.lab.world.setting import SIZE_WH
@@ -47,6 +47,33 @@ FLIGHT_ALTITUDE_M = 80.0
 FLIGHT_KINDS: tuple[PlaceKind, ...] = ("dirtroad", "park", "street")
 
 
+# Least and most overlap of neighbouring frames and strips.
+OVERLAPS = (0.2, 0.9)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A flight of parallel strips, whose pictures state where the camera was.
+
+    Attributes:
+        overlap: Share that a frame shows of the one before, and a strip of the strip beside it: 0.2 to 0.9.
+        yaw_error_deg: By how much the stated yaw is too large in all pictures.
+        walking: Whether the people walk.
+
+    Raises:
+        ArgumentError: The overlap is out of range.
+    """
+
+    overlap: float = 0.7
+    yaw_error_deg: float = 0.0
+    walking: bool = False
+
+    def __post_init__(self) -> None:
+        low, high = OVERLAPS
+        if not low <= self.overlap <= high:
+            raise ArgumentError(f"overlap: found {self.overlap:g}, expected {low:g} to {high:g}")
+
+
 @dataclass(frozen=True)
 class FrameFacts:
     """Facts about a frame that are fixed before its scene is drawn.
@@ -62,6 +89,7 @@ class FrameFacts:
         radiometric: Whether the image stores temperatures.
         maker: Maker of the camera whose radiometric JPEG files to write; None for the layouts of datasets.
         flight: Whether all frames are of one flight over one scene.
+        survey: The strips of the flight; None for a smooth course.
     """
 
     number: int
@@ -77,6 +105,7 @@ class FrameFacts:
     radiometric: bool = False
     maker: Maker | None = None
     flight: bool = False
+    survey: Survey | None = None
 
     @property
     def name(self) -> str:
@@ -94,7 +123,9 @@ class FrameFacts:
         return f"{night}_{self.altitude_m}_{self.pitch_deg}_0_{self.number:05d}.{'tiff' if self.radiometric else 'jpg'}"
 
 
-def plan_frames(count: int, seed: int, layout: Layout = "hit-uav") -> tuple[FrameFacts, ...]:
+def plan_frames(
+    count: int, seed: int, layout: Layout = "hit-uav", survey: Survey | None = None
+) -> tuple[FrameFacts, ...]:
     """Return the facts of `count` frames; frame k does not depend on how many follow.
 
     Pitches, altitudes and splits come in shuffled rounds, so a few frames already cover the range. The frames of a
@@ -117,7 +148,7 @@ def plan_frames(count: int, seed: int, layout: Layout = "hit-uav") -> tuple[Fram
         if layout == "monet":
             frames.append(_of_sequence(k, seed, pitch, altitude))
         elif layout == "flight":
-            frames.append(_of_flight(k, seed))
+            frames.append(replace(_of_flight(k, seed), survey=survey))
         elif layout in MAKERS:
             frames.append(FrameFacts(k, "train", pitch, altitude, "night", maker=layout))
         else:

@@ -1,0 +1,291 @@
+"""`infrablend detectability`: measure how likely a detector finds a recipe's objects in the user's own pictures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from infrablend import __version__
+from infrablend.core.files import write_json, write_text
+from infrablend.core.tasks import OnProgress, paced
+from infrablend.core.workspace import replacing, workspace
+from infrablend.detection.finder import Finder, load_finder
+from infrablend.detection.recall import Z95
+from infrablend.detection.training_origin import TrainingOrigin, training_origin
+from infrablend.detection.truth import image_key, match_classes
+from infrablend.errors import DatasetError, ModelError, Problem
+from infrablend.formats.image_groups import group_images
+from infrablend.formats.read_write import READ_ALL, Reading
+from infrablend.pipeline.compose.memory_frames import Frames, FramesRequest
+from infrablend.pipeline.flights.detectability_figures import (
+    FACTS,
+    LEAST_COMPARED,
+    DetectabilitySettings,
+    MeasuredFacts,
+    measured_facts,
+    run_trials,
+)
+from infrablend.pipeline.flights.insert_trials import TrialRules, Trials
+from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, Settings
+from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
+from infrablend.report.detectability_page import PAGE, detectability_page
+
+_SEED = 1_000_003
+"""Seed 0 of trials: other objects than those of a run with seed 0, on which a detector may have been trained."""
+_PLANNED_FRAMES = 8
+DEFAULT_DETECTABILITY = DetectabilitySettings()
+
+
+@dataclass(frozen=True)
+class DetectabilityRequest:
+    """Request for the detectability of a recipe's objects.
+
+    Attributes:
+        recipe: Name of a shipped recipe, or path of a YAML file.
+        detector: Weights, an ONNX file, or the folder of a training.
+        data: Folder of the pictures.
+        settings: What counts, and how narrow the interval has to be.
+        recipe_settings: Recipe fields to set.
+        selection: Pictures to use.
+        reading: How to read the pictures.
+        execution: Workers and renderer of the inserted objects.
+        device: Device of the detector.
+        classes: Names of the classes of a detector that has none.
+        seed: Seed of the objects, their places and the order of the pictures.
+    """
+
+    recipe: str | Path
+    detector: Path
+    data: Path
+    settings: DetectabilitySettings = DEFAULT_DETECTABILITY
+    recipe_settings: Settings = ()
+    selection: FrameSelection = ALL_FRAMES
+    reading: Reading = READ_ALL
+    execution: Execution = DEFAULT_EXECUTION
+    device: str = "auto"
+    classes: tuple[str, ...] = ()
+    seed: int = 0
+
+
+class DetectabilityFacts(MeasuredFacts):
+    """Content of `detectability.json`.
+
+    `kind` is `measured`; or `upper bound` for a detector that was trained on inserted objects where no real ones say
+    how well it does.
+    """
+
+    kind: str
+    sentence: str
+    recipe: str
+    detector: Mapping[str, object]
+    trained_on: str
+    data: str
+    seed: int
+    until: float
+    infrablend: str
+    problems: list[dict[str, str]]
+
+
+@dataclass(frozen=True, eq=False)
+class DetectabilityReport:
+    """Result of `detectability`.
+
+    Attributes:
+        out: Folder with `detectability.json` and `detectability.html`.
+        facts: Content of the former.
+        problems: What was left out, and warnings.
+        seconds: Wall-clock time.
+    """
+
+    out: Path
+    facts: DetectabilityFacts
+    problems: tuple[Problem, ...] = ()
+    seconds: float = field(default=0.0, compare=False)
+
+    @property
+    def ok(self) -> bool:
+        """Whether every picture could be used."""
+        return not any(p.severity == "error" for p in self.problems)
+
+
+def measure_detectability(
+    request: DetectabilityRequest, out: Path, *, overwrite: bool = False, on_progress: OnProgress | None = None
+) -> DetectabilityReport:
+    """Insert objects into pictures in memory, let the detector search them, and write figures and page.
+
+    Raises:
+        ModelError: The detector cannot be used, or has no class of the recipe.
+        DatasetError: No picture can be used, or no object can stand in them.
+    """
+    started = time.monotonic()
+    with workspace(out, "detectability", FACTS, replacing(overwrite)) as space:
+        finder = load_finder(request.detector, device=request.device, classes=request.classes)
+        with Frames(_frames_request(request)) as frames:
+            trials = Trials(frames, finder, _rules(request, frames, finder))
+            origin = training_origin(request.detector)
+            problems = [*frames.problems, *finder.problems]
+            problems += [] if origin is None else _circles(origin, request, trials)
+            run_trials(trials, request.settings, _SEED + request.seed, paced(on_progress))
+            if not trials.inserted:
+                raise _nothing_inserted(request, trials)
+            problems += trials.unread
+            facts = _facts(request, finder, origin, trials, problems)
+        write_json(space.folder / FACTS, facts)
+        write_text(space.folder / PAGE, detectability_page(facts))
+        space.finish(facts)
+    return DetectabilityReport(out, facts, tuple(problems), time.monotonic() - started)
+
+
+@dataclass(frozen=True)
+class DetectabilityPlan:
+    """What `detectability` will take, from a few frames that were made and searched.
+
+    Attributes:
+        objects_per_frame: Inserted objects of the class in a frame.
+        objects: Objects that make the interval as narrow as asked for, if half of them are found.
+        frames: Frames with so many objects.
+        pictures: Pictures that can be used; more frames use them again, with other objects.
+        seconds: About how long that takes.
+        problems: Pictures that were left out, and warnings.
+    """
+
+    objects_per_frame: float
+    objects: int
+    frames: int
+    pictures: int
+    seconds: float
+    problems: tuple[Problem, ...] = ()
+
+
+def plan_detectability(request: DetectabilityRequest) -> DetectabilityPlan:
+    """Return what `measure_detectability` would take; its errors are the same."""
+    finder = load_finder(request.detector, device=request.device, classes=request.classes)
+    with Frames(_frames_request(request)) as frames:
+        trials = Trials(frames, finder, _rules(request, frames, finder))
+        tried = 0
+        started = time.monotonic()
+        for tried in trials.rounds(_SEED + request.seed, 1):
+            if tried == 1:  # workers start with the first frame
+                started = time.monotonic()
+            if tried > _PLANNED_FRAMES:
+                break
+        seconds = (time.monotonic() - started) / max(tried - 1, 1)
+        per_frame = len(trials.inserted) / max(tried, 1)
+        if not per_frame:
+            raise _nothing_inserted(request, trials)
+        objects = round(0.25 * (Z95 / request.settings.until) ** 2)
+        needed = round(objects / per_frame)
+        return DetectabilityPlan(
+            per_frame,
+            objects,
+            needed,
+            len(trials.images()),
+            needed * seconds,
+            (*frames.problems, *finder.problems),
+        )
+
+
+def _frames_request(request: DetectabilityRequest) -> FramesRequest:
+    return FramesRequest(
+        request.recipe,
+        request.data,
+        request.selection,
+        _SEED + request.seed,
+        request.recipe_settings,
+        request.reading,
+        request.execution,
+    )
+
+
+def _rules(request: DetectabilityRequest, frames: Frames, finder: Finder) -> TrialRules:
+    """Return what counts.
+
+    Raises:
+        ModelError: The recipe or the detector has no such class.
+    """
+    offered = frames.inserted_classes
+    category = request.settings.category or offered[0]
+    if category not in offered:
+        problem = Problem("category", "class-unknown", category, f"a class of the recipe: {', '.join(offered)}")
+        raise ModelError(f"{request.recipe}: inserts no {category}", [problem])
+    numbers = match_classes(finder.classes, [category])[category]
+    if not numbers:
+        found = f"the detector has {', '.join(finder.classes)}"
+        todo = "give a detector of this class, name the class with --category, or set objects.0.category"
+        problem = Problem(request.detector.name, "class-absent", found, category, todo)
+        raise ModelError(f"{request.detector}: finds no {category}", [problem])
+    clusters: dict[str, str] = {}
+    if request.settings.group != "image":
+        groups = group_images(list(frames.backgrounds.values()), request.settings.group)
+        clusters = {image_key(i): name for name, its in groups.items() for i in its}
+    ignored = frozenset(c.name for c in frames.categories if c.ignore)
+    least = min(request.settings.confidences)
+    return TrialRules(category, numbers, request.settings.least_overlap, least, clusters, ignored)
+
+
+def _circles(origin: TrainingOrigin, request: DetectabilityRequest, trials: Trials) -> list[Problem]:
+    """Return warnings about a detector that knows these pictures, or these inserted objects, from its training."""
+    problems = []
+    splits = {image.split for image in trials.images()}
+    if Path(origin.data).resolve() == request.data.resolve() and "train" in splits:
+        found = "the detector was trained on pictures of the split train of this folder"
+        todo = "its figures are too good on pictures that it knows: name another --split"
+        problems.append(Problem(request.detector.name, "trained-on", found, "other pictures", todo, "warning"))
+    if origin.inserted:
+        same = f", by the recipe {origin.recipe}" if origin.recipe else ""
+        found = f"the detector was trained on {origin.inserted} inserted objects{same}"
+        todo = "where no real objects say how well it does, take its figures as an upper bound"
+        problems.append(Problem(request.detector.name, "trained-on-inserts", found, "", todo, "warning"))
+    return problems
+
+
+def _nothing_inserted(request: DetectabilityRequest, trials: Trials) -> DatasetError:
+    reasons = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in sorted(trials.counts.items()) if n)
+    found = f"no object was inserted into any of {len(trials.searched)} pictures ({reasons or 'none asked for'})"
+    todo = "look at `infrablend try` of the recipe with one of the pictures"
+    problem = Problem(str(request.recipe), "nothing-inserted", found, "objects that can stand in these pictures", todo)
+    return DatasetError(f"{request.data}: nothing to search for", [problem, *trials.unread])
+
+
+def _facts(
+    request: DetectabilityRequest,
+    finder: Finder,
+    origin: TrainingOrigin | None,
+    trials: Trials,
+    problems: list[Problem],
+) -> DetectabilityFacts:
+    measured = measured_facts(trials, request.settings)
+    trained_on = "unknown"
+    if origin is not None:
+        trained_on = f"{origin.labels - origin.inserted} real and {origin.inserted} inserted objects"
+    enough_real = measured["recall"].get("real", 0) >= LEAST_COMPARED
+    is_bound = origin is not None and origin.inserted > 0 and not enough_real
+    return {
+        **measured,
+        "kind": "upper bound" if is_bound else "measured",
+        "sentence": sentence(measured, is_bound=is_bound),
+        "recipe": str(trials.frames.recipe.name),
+        "detector": dict(finder.facts),
+        "trained_on": trained_on,
+        "data": request.data.name,
+        "seed": request.seed,
+        "until": request.settings.until,
+        "infrablend": __version__,
+        "problems": [p.to_json() for p in problems],
+    }
+
+
+def sentence(facts: MeasuredFacts, *, is_bound: bool = False) -> str:
+    """Return the result in one sentence."""
+    recall = facts["recall"]
+    alarms = next(a["alarms_per_picture"] for a in facts["confidences"] if a["confidence"] == facts["confidence"])
+    targets = [c for c in facts["cells"] if c["by"] == "target"]
+    found = f"{recall['predicted']:.2f} ({recall['low']:.2f} to {recall['high']:.2f})"
+    text = f"In these pictures, a {facts['category']} would be found with {'at most ' if is_bound else ''}{found}"
+    if len(targets) > 1:
+        parts = (f"{c['value']} {c['predicted']:.2f} ({c['low']:.2f} to {c['high']:.2f})" for c in targets)
+        text += f" ({', '.join(parts)})"
+    kind = "false alarms" if recall.get("real") else "alarms"
+    return f"{text}, at {alarms:.2f} {kind} a picture and confidence {facts['confidence']:g}."
