@@ -1,0 +1,1 @@
+"""Answers about a flight: what its pictures show, and where."""
