@@ -120,7 +120,7 @@ def test_frames_of_a_video_keep_what_the_log_states(tmp_path: Path) -> None:
     facts = convert(tmp_path / "out", tmp_path / "coco")
     for image in api.read_dataset(facts).images:
         found = image.capture.to_json()
-        assert FACTS.keys() - found.keys() == {"camera"}
+        assert FACTS.keys() - found.keys() == {"camera", "flight_yaw_deg"}
         for name in ("pitch_deg", "altitude_m", "hfov_deg", "latitude_deg", "longitude_deg", "yaw_deg"):
             assert found[name] == pytest.approx(FACT[name]), name
 

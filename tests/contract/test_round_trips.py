@@ -162,6 +162,7 @@ FACT = {
     "latitude_deg": -1.4585,
     "longitude_deg": -48.4468,
     "yaw_deg": 61.3,
+    "flight_yaw_deg": 55.0,
 }
 
 

@@ -15,6 +15,11 @@ from infrablend.api.datasets import (
     read_dataset as read_dataset,
     split as split,
 )
+from infrablend.api.flights import (
+    detect as detect,
+    detectability as detectability,
+    plan_detectability as plan_detectability,
+)
 from infrablend.lab.interface import (
     compare_evaluations as compare_evaluations,
     evaluate as evaluate,
@@ -68,6 +73,15 @@ from infrablend.pipeline.runs.choose import ChoiceReport as ChoiceReport
 from infrablend.lab.realism.compare_objects import RealismReport as RealismReport
 from infrablend.pipeline.datasets.convert import ConvertReport as ConvertReport
 from infrablend.pipeline.extraction.count_scale import CountScale as CountScale, Spot as Spot
+from infrablend.pipeline.flights.detectability import (
+    DetectabilityPlan as DetectabilityPlan,
+    DetectabilityReport as DetectabilityReport,
+    DetectabilityRequest as DetectabilityRequest,
+)
+from infrablend.pipeline.flights.detectability_figures import (
+    AlarmFacts as AlarmFacts,
+    DetectabilitySettings as DetectabilitySettings,
+)
 from infrablend.pipeline.datasets.requests import (
     ClassChanges as ClassChanges,
     Selection as Selection,
@@ -83,6 +97,8 @@ from infrablend.pipeline.compose.extensions import (
     SceneRequest as SceneRequest,
     SceneSampler as SceneSampler,
 )
+from infrablend.pipeline.flights.detect import DetectReport as DetectReport
+from infrablend.pipeline.flights.detect_request import DetectRequest as DetectRequest
 from infrablend.pipeline.extraction.clips import FrameChoice as FrameChoice
 from infrablend.pipeline.extraction.clips import FlightFacts as FlightFacts
 from infrablend.pipeline.plans.selection import FrameSelection as FrameSelection

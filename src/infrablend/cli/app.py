@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from infrablend.cli import camera_commands, dataset_commands, exits, run_commands, shipped_commands
+from infrablend.cli import camera_commands, dataset_commands, exits, flight_commands, run_commands, shipped_commands
 from infrablend.cli.call_state import open_session
 from infrablend.cli.options import with_options
 from infrablend.cli.output import print_json
@@ -49,6 +49,8 @@ COMMANDS: dict[str, _Function | str] = {
     "realism": "infrablend.lab.lab_commands:realism",
     "evaluate": "infrablend.lab.lab_commands:evaluate",
     "experiment": "infrablend.lab.lab_commands:experiment",
+    "detect": flight_commands.detect,
+    "detectability": flight_commands.detectability,
     "frames": camera_commands.frames,
     "temperatures": camera_commands.temperatures,
     "world": "infrablend.lab.lab_commands:world",

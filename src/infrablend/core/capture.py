@@ -103,6 +103,8 @@ class Capture:
         latitude_deg: Latitude of the camera, north positive.
         longitude_deg: Longitude of the camera, east positive.
         yaw_deg: Heading of the optical axis, clockwise from north, as the source states it.
+        flight_yaw_deg: Heading of the aircraft's nose, clockwise from north. Straight down, where gimbals do not know
+            their own, it is that of the picture's upper edge.
         radiometry: Scale of the temperatures of a 16-bit picture, and what its file states about the air. Each format
             has its own form for it.
         time_from: What a run took the time of day from instead of the dataset: its recipe, or the sun at the time of
@@ -127,6 +129,7 @@ class Capture:
     latitude_deg: float | None = field(default=None, repr=False, metadata={"fact": _number(-90, 90, "degrees")})
     longitude_deg: float | None = field(default=None, repr=False, metadata={"fact": _number(-180, 180, "degrees")})
     yaw_deg: float | None = field(default=None, repr=False, metadata={"fact": _number(-360, 360, "degrees")})
+    flight_yaw_deg: float | None = field(default=None, repr=False, metadata={"fact": _number(-360, 360, "degrees")})
     radiometry: Radiometry | None = None
     time_from: Literal["recipe", "sun"] | None = field(default=None, repr=False)
 

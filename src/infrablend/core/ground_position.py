@@ -30,7 +30,9 @@ PROBABILITY = 0.9
 
 NEAR_NADIR_DEG = 5.0
 """Within this of straight down, a gimbal's yaw is not to be trusted (gimbal lock)."""
-_EARTH_M = 6_371_000.0
+EARTH_M = 6_371_000.0
+"""Mean radius of the earth."""
+_NEEDED = ("latitude_deg", "longitude_deg", "altitude_m", "pitch_deg", "hfov_deg")
 # Points along each edge of a picture that outline a footprint with an arc.
 _ALONG_EDGE = 32
 
@@ -120,7 +122,7 @@ class LocalFrame:
     def to_degrees(self, east_m: float | FloatArray, north_m: float | FloatArray) -> FloatArray:
         """Return (..., 2) WGS 84 latitude and longitude, degrees, of metres east and north."""
         # The plane leaves the earth; its point at sea level is this much below it.
-        up = -(np.square(east_m) + np.square(north_m)) / (2 * _EARTH_M)
+        up = -(np.square(east_m) + np.square(north_m)) / (2 * EARTH_M)
         latitude, longitude, _ = pymap3d.enu2geodetic(east_m, north_m, up, self.latitude_deg, self.longitude_deg, 0.0)
         return np.stack([np.asarray(latitude, np.float64), np.asarray(longitude, np.float64)], axis=-1)
 
@@ -148,26 +150,33 @@ def pose_of(image: ImageRecord, errors: PoseErrors | None = None) -> Pose | str:
         errors: Standard errors that replace the defaults.
     """
     c = image.capture
-    facts = ("latitude_deg", "longitude_deg", "altitude_m", "pitch_deg", "yaw_deg", "hfov_deg")
-    missing = [name for name in facts if getattr(c, name) is None]
+    missing = [name for name in _NEEDED if getattr(c, name) is None]
+    yaw_deg = c.flight_yaw_deg if c.yaw_deg is None else c.yaw_deg
+    if yaw_deg is None:
+        missing.append("yaw_deg")
     if image.size_wh is None:
         missing.append("size of the picture")
     if missing:
         return ", ".join(missing)
     assert image.size_wh is not None and c.latitude_deg is not None and c.longitude_deg is not None
-    assert c.altitude_m is not None and c.pitch_deg is not None and c.yaw_deg is not None and c.hfov_deg is not None
+    assert c.altitude_m is not None and c.pitch_deg is not None and yaw_deg is not None and c.hfov_deg is not None
     pose = Pose(
-        image.size_wh, c.hfov_deg, c.pitch_deg, c.roll_deg or 0.0, c.yaw_deg, c.altitude_m,
+        image.size_wh, c.hfov_deg, c.pitch_deg, c.roll_deg or 0.0, yaw_deg, c.altitude_m,
         c.latitude_deg, c.longitude_deg, {},
     )  # fmt: skip
+    yaw = StatedError(5.0, "gimbal yaw, compass")
+    if pose.is_near_nadir and c.flight_yaw_deg is not None:
+        # Roll only turns the picture there, and gimbals trade it for yaw.
+        pose = replace(pose, yaw_deg=c.flight_yaw_deg, roll_deg=0.0)
+        yaw = StatedError(3.0, "heading of the aircraft")
+    elif pose.is_near_nadir:
+        yaw = StatedError(12.0, "gimbal yaw near straight down")
     stated = {
         "position_m": StatedError(1.5, "satellite position without corrections"),
         "height_m": StatedError(1.0, "laser")
         if c.altitude_from == "laser"
         else StatedError(2.0, "height above take-off, ground taken as level"),
-        "yaw_deg": StatedError(12.0, "gimbal yaw near straight down")
-        if pose.is_near_nadir
-        else StatedError(5.0, "gimbal yaw, compass"),
+        "yaw_deg": yaw,
         "pitch_deg": StatedError(0.5, "gimbal"),
         "roll_deg": StatedError(0.5, "gimbal")
         if c.roll_deg is not None

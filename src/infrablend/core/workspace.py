@@ -53,6 +53,7 @@ FRAMES_FILE = "frames.json"
 TEMPERATURES_FILE = "temperatures.json"
 PLACES_FILE = "places.json"
 MOTION_FILE = "motion.json"
+DETECT_FILE = "detect.json"
 
 NOTE = ".workspace.json"
 """Note in a workspace: what it is for, and the command that finishes it."""

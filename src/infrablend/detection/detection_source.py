@@ -12,7 +12,7 @@ from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.workspace import unfinished
 from infrablend.detection import predict
 from infrablend.detection.detections import MAX_DETECTIONS, PREDICTIONS, TASKS, Predictions, Task, read_predictions
-from infrablend.detection.scale import WEIGHTS
+from infrablend.detection.scale import ONNX_WEIGHTS, WEIGHTS
 from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, ModelError, Problem
 
@@ -50,7 +50,7 @@ class DetectionSource:
         self._saved: Predictions | None = None
         self._detector: predict.Detector | None = None
         try:
-            file = _file_of(path)
+            file = file_of(path)
             if file.suffix == ".json":
                 self._saved = read_predictions(file, images, categories)
                 self.classes = self._saved.classes
@@ -98,7 +98,7 @@ class DetectionSource:
         return predict.predict(self._detector, images, image_size=image_size, on_image=on_image, fit=fit)
 
 
-def _file_of(path: Path) -> Path:
+def file_of(path: Path) -> Path:
     """Return the file to use from a folder: detections of an evaluation, or weights of a training.
 
     Raises:
@@ -106,7 +106,7 @@ def _file_of(path: Path) -> Path:
     """
     if not path.is_dir() and (path.exists() or unfinished(path) is None):
         return path
-    for file in (PREDICTIONS, WEIGHTS):
+    for file in (PREDICTIONS, WEIGHTS, ONNX_WEIGHTS):
         if (path / file).is_file():
             return path / file
     found = unfinished(path)

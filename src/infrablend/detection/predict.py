@@ -36,6 +36,7 @@ CONFIDENCE = 0.001
 IOU = 0.7  # of two detections of a class that overlap more, the one with the lower score is dropped
 Precision = Literal["auto", "float32", "bfloat16"]
 _TODO = "give weights.pt of a finished `infrablend train`, or best.pt or last.pt of an Ultralytics training"
+_SMALLER = "take a smaller --image-size or --device cpu"
 _GREY = 114  # padding, as in Ultralytics
 
 log = logging.getLogger(__name__)
@@ -362,12 +363,18 @@ def fit_picture(pixels: NDArray[np.uint8], image_size: int, stride: int) -> Fitt
     w, h = min(math.ceil(width * scale), size), min(math.ceil(height * scale), size)
     if (w, h) != (width, height):
         pixels = cv2.resize(pixels, (w, h), interpolation=cv2.INTER_LINEAR).reshape(h, w, -1)
-    full_w, full_h = (math.ceil(v / stride + 0.5) * stride for v in (w, h))
+    full_w, full_h = fitted_size((w, h), stride)
     left = round((full_w - w) / 2 - 0.1)
     top = round((full_h - h) / 2 - 0.1)
     padded = np.full((full_h, full_w, pixels.shape[2]), _GREY, np.uint8)
     padded[top : top + h, left : left + w] = pixels
     return FittedPicture(padded, (width, height), (w / width, h / height), (left, top))
+
+
+def fitted_size(size_wh: tuple[int, int], stride: int) -> tuple[int, int]:
+    """Return the size of a picture with the padding of `fit_picture`, px."""
+    width, height = (math.ceil(side / stride + 0.5) * stride for side in size_wh)
+    return width, height
 
 
 def _run(detector: Detector, group: _Group) -> list[Detections]:
@@ -377,14 +384,37 @@ def _run(detector: Detector, group: _Group) -> list[Detections]:
         return _forward(detector, [p for _, p in group])
     except (torch.OutOfMemoryError, MemoryError) as error:
         if len(group) == 1:
-            raise ModelError(
-                f"{group[0][0].name}: memory does not hold one picture; take a smaller --image-size or --device cpu"
-            ) from error
+            raise ModelError(f"{group[0][0].name}: memory does not hold one picture; {_SMALLER}") from error
         middle = len(group) // 2
         return [*_run(detector, group[:middle]), *_run(detector, group[middle:])]
 
 
-def _forward(detector: Detector, pictures: Sequence[FittedPicture]) -> list[Any]:
+def predict_levels(
+    detector: Detector, levels: NDArray[np.uint8], image_size: int, confidence: float = CONFIDENCE
+) -> Detections:
+    """Return the detections in one picture of (h, w) grey levels, as `predict` does in files.
+
+    Args:
+        detector: Detector from `load_detector`.
+        levels: The picture.
+        image_size: Longer side of the picture for the network, px; 0 keeps its own size.
+        confidence: Lowest score.
+
+    Raises:
+        ModelError: Memory does not hold the picture.
+    """
+    channels = np.repeat(levels[..., None], detector.channels, axis=2)
+    with quiet_ultralytics():
+        import torch
+
+        try:
+            return _forward(detector, [fit_picture(channels, image_size, detector.stride)], confidence)[0]
+        except (torch.OutOfMemoryError, MemoryError) as error:
+            size = "{1}x{0}".format(*levels.shape)
+            raise ModelError(f"memory does not hold a picture of {size} px; {_SMALLER}") from error
+
+
+def _forward(detector: Detector, pictures: Sequence[FittedPicture], confidence: float = CONFIDENCE) -> list[Detections]:
     import torch
     from ultralytics.utils import nms
 
@@ -398,7 +428,7 @@ def _forward(detector: Detector, pictures: Sequence[FittedPicture]) -> list[Any]
             said = said[0]
         kept = nms.non_max_suppression(
             said,
-            CONFIDENCE,
+            confidence,
             IOU,
             nc=0 if detector.task == "detect" else len(detector.classes),
             multi_label=True,

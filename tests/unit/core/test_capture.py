@@ -13,6 +13,7 @@ ALL = {
     "pitch_deg": 35.5, "altitude_m": 80.0, "time_of_day": "night", "hfov_deg": 33.0, "roll_deg": -7.5,
     "altitude_from": "laser", "sequence": "flight 1", "captured": "2021-01-31T08:30", "frame": 12, "time_s": 0.48,
     "camera": "DJI M3T", "latitude_deg": -1.4585, "longitude_deg": -48.4468, "yaw_deg": 61.3,
+    "flight_yaw_deg": 55.0,
 }  # fmt: skip
 
 

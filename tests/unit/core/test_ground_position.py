@@ -204,6 +204,20 @@ def test_a_pose_names_what_it_lacks() -> None:
     assert pose_of(replace(an_image(), size_wh=None)) == "size of the picture"
 
 
+def test_straight_down_the_heading_of_the_aircraft_counts() -> None:
+    nadir = pose_of(an_image(pitch_deg=86.0, flight_yaw_deg=55.0, roll_deg=180.0))
+    assert isinstance(nadir, Pose)
+    assert (nadir.yaw_deg, nadir.roll_deg) == (55.0, 0.0)
+    assert nadir.errors["yaw_deg"] == StatedError(3.0, "heading of the aircraft")
+    oblique = pose_of(an_image(pitch_deg=60.0, flight_yaw_deg=55.0, roll_deg=-2.0))
+    assert isinstance(oblique, Pose)
+    assert (oblique.yaw_deg, oblique.roll_deg) == (64.0, -2.0)
+    without = pose_of(an_image(yaw_deg=None, flight_yaw_deg=55.0))
+    assert isinstance(without, Pose)
+    assert without.yaw_deg == 55.0
+    assert pose_of(an_image(yaw_deg=None)) == "yaw_deg"
+
+
 def test_errors_follow_from_what_states_the_value() -> None:
     nadir = pose_of(an_image())
     assert isinstance(nadir, Pose)

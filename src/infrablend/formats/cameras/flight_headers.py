@@ -245,6 +245,9 @@ def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
     stated = Capture.from_json({name: fact.value for name, fact in f.facts.items()}, strict=False)
     if image.capture.altitude_m is None and stated.altitude_m is not None:
         stated = replace(stated, altitude_from="laser" if "LRF" in f.facts["altitude_m"].source else "take-off")
+    if image.capture.yaw_deg is not None:
+        # A heading that somebody gives counts more than any in the file.
+        stated = replace(stated, flight_yaw_deg=None)
     known = replace(image.capture.over(stated), camera=f.camera or image.capture.camera)
     return replace(image, size_wh=image.size_wh or f.size_wh, capture=known)
 

@@ -23,6 +23,7 @@ FIELDS = (
     "pitch_deg",
     "roll_deg",
     "yaw_deg",
+    "flight_yaw_deg",
     "altitude_m",
     "hfov_deg",
     "captured",
@@ -85,6 +86,8 @@ _ANGLES = (
     (PARROT, "Camera{}Degree"),
     (SKYDIO, "CameraOrientationNED:{}"),
 )
+# Heading of the aircraft, which Autel spells as DJI does.
+_FLIGHT_YAWS = ((DJI, "FlightYawDegree"), (AUTEL, "FlightYawDegree"))
 _HEIGHTS = (
     (DJI, "RelativeAltitude"),
     (AUTEL, "RelativeAltitude"),
@@ -108,6 +111,7 @@ _NUMBERS = (
     *((maker, name.format(axis)) for axis in ("Pitch", "Roll", "Yaw") for maker, name in _ANGLES),
     *_HEIGHTS,
     (DJI, "LRFTargetDistance"),
+    *_FLIGHT_YAWS,
     *_LATITUDES,
     *_LONGITUDES,
     *_FOCAL_LENGTHS_PX,
@@ -328,9 +332,9 @@ def _add_angles(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> Non
             facts["roll_deg"] = Fact(round(turned, 6), roll[1])
         else:
             warn("flight-roll", f"{roll[1]} {roll[0]:g}, left out", "-45 to 45 degrees, or any near straight down")
-    yaw = _angle(exif, xmp, "Yaw")
-    if yaw is not None and abs(yaw[0]) <= 360.0:
-        facts["yaw_deg"] = Fact(*yaw)
+    for name, yaw in (("yaw_deg", _angle(exif, xmp, "Yaw")), ("flight_yaw_deg", _xmp_number(xmp, *_FLIGHT_YAWS))):
+        if yaw is not None and abs(yaw[0]) <= 360.0:
+            facts[name] = Fact(*yaw)
 
 
 def _add_altitude(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> None:

@@ -24,10 +24,11 @@ from infrablend.core.tasks import OnProgress
 from infrablend.core.typed_command import COMMAND, command_facts
 from infrablend.core.workspace import Existing, partial_of, workspace
 from infrablend.detection import tiles, ultralytics_environment
-from infrablend.detection.scale import RECORD, WEIGHTS, WORKING_FILES
+from infrablend.detection.scale import ONNX_WEIGHTS, RECORD, WEIGHTS, WORKING_FILES
 from infrablend.detection.ultralytics_environment import require_ultralytics
 from infrablend.errors import OtherSettingsError, OutputError, Problem
 from infrablend.lab.training import presets, start_weights
+from infrablend.lab.training.export_onnx import export_onnx, require_onnx
 from infrablend.lab.training.presets import PRESETS, Preset
 from infrablend.lab.training.train_request import PRESET_FIELDS, TrainRequest
 from infrablend.lab.training.training_data import (
@@ -214,7 +215,7 @@ def train_dataset(
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
 ) -> TrainReport:
-    """Train a detector, and leave `weights.pt` and `train.json` in `out`.
+    """Train a detector, and leave `weights.pt` and `train.json`, and `weights.onnx` if asked for, in `out`.
 
     Args:
         dataset: Dataset with a train split, and with a val split where the preset stops early.
@@ -232,6 +233,8 @@ def train_dataset(
         Interrupted: The user stopped the training; `resume` continues it.
     """
     require_ultralytics()
+    if request.export:
+        require_onnx()
     device = choose_device(request.device)
     require_arguments(request.chosen_preset())
     wanted, left_out = select_training_data(dataset, request)
@@ -245,7 +248,7 @@ def train_dataset(
     }  # fmt: skip
     if has_deep_pictures(wanted):
         asked["agc"] = request.agc.model_dump()
-    with workspace(out, "training", RECORD, existing, keep=True) as space:
+    with workspace(out, "training", RECORD, existing, keep=True, derived={ONNX_WEIGHTS}) as space:
         folder = space.folder
         record = None if space.state == "new" else cast("TrainingRecord | None", read_object(folder / RECORD))
         if record is not None:
@@ -253,6 +256,8 @@ def train_dataset(
         if space.state == "complete":
             if not (folder / WEIGHTS).is_file():
                 raise OutputError(f"{out / WEIGHTS}: is not there; train again with --overwrite")
+            if request.export:
+                export_onnx(out / WEIGHTS, record or {})
             return TrainReport(out, out / WEIGHTS, record or {})
         if record is None or record.get("prepared") is None:
             if space.state == "started":
@@ -275,6 +280,8 @@ def train_dataset(
         if "epochs_done" not in record:
             record = run_trainer(folder, record, preset, device, on_progress)
         _remove_working_files(folder)
+        if request.export:
+            export_onnx(folder / WEIGHTS, record)
         space.finish(record)
     return TrainReport(out, out / WEIGHTS, record)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 from infrablend.config.agc import DEFAULT_AGC, Agc
 from infrablend.core.arguments import require_names
@@ -35,6 +35,8 @@ class TrainRequest:
         classes: Only these classes [default: all].
         agc: Automatic gain control for 16-bit pictures, e.g. {mode: fixed, low_c: 0, high_c: 40} [default:
             linear].
+        export: Also write weights.onnx, with names, size of tiles and AGC in its metadata; a finished training is
+            only exported.
 
     Raises:
         ArgumentError: `classes` is no list of names.
@@ -48,6 +50,7 @@ class TrainRequest:
     seed: int = 0
     classes: Sequence[str] | None = None
     agc: Agc = DEFAULT_AGC
+    export: Literal["onnx"] | None = None
 
     def __post_init__(self) -> None:
         require_names("classes", self.classes)

@@ -149,6 +149,22 @@ class Frames:
         self.problems: list[Problem] = list(self._plan.problems)
 
     @property
+    def backgrounds(self) -> dict[str, ImageRecord]:
+        """Backgrounds of the frames with their own labels, by the id of the frame; those of unchanged originals too."""
+        return {frame_id: planned.as_read for frame_id, planned in self._frames.items()}
+
+    @property
+    def inserted_classes(self) -> tuple[str, ...]:
+        """Classes that the recipe inserts, in the order of its entries, each once."""
+        models = self._plan.models
+        return tuple(dict.fromkeys(o.category or models[o.model].category for o in self._plan.recipe.objects))
+
+    @property
+    def recipe(self) -> Recipe:
+        """Recipe of the frames, with what was measured in the data."""
+        return self._plan.recipe
+
+    @property
     def seed(self) -> int:
         """Seed of the frames, unless `iterate` is given another."""
         return self._plan.seed

@@ -1,1 +1,1 @@
-"""Answers about a flight: what its pictures show, and where."""
+"""Flights: what a detector finds in them, where that is, and how likely something was missed."""

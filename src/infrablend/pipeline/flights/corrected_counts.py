@@ -1,0 +1,113 @@
+"""How many objects there are, from those that a detector finds and the share that it finds.
+
+Each detection stands for 1/p objects, where p is the share of inserted objects found under the conditions of its look
+(Horvitz and Thompson, Journal of the American Statistical Association 47, 1952). The conditions are those that are
+known of a detection as well: time of day and ground pixel size, not the true size. Counted are looks: an object that
+three pictures show is three.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import TypedDict
+
+import numpy as np
+
+from infrablend.detection.recall import NONE, Z95, Share, weighted_share
+from infrablend.detection.sightings import Sighting
+from infrablend.pipeline.flights.insert_trials import SearchedPicture, Trials, look_conditions
+
+_LEAST_EFFECTIVE = 10.0
+"""Fewest independent inserted objects under a condition whose share is used; otherwise that of all of them is."""
+
+LookKey = tuple[str, str]
+"""Time of day and range of ground pixel sizes of a look; empty where the latter is unknown."""
+
+
+class CountFacts(TypedDict):
+    """Objects counted, each once for each picture that shows it.
+
+    `detections` are those counted: of labelled objects (`of` is `labelled`) or all (`all`, some of which may be false
+    alarms); `corrected` is the estimate of the objects, with its interval, which includes the error of p; it is None
+    where p is unknown or 0.
+    """
+
+    of: str
+    detections: int
+    corrected: float | None
+    low: float | None
+    high: float | None
+
+
+class LookShares:
+    """Share of objects found in one look, by what is known of the look."""
+
+    def __init__(self, inserted: Sequence[Sighting], confidence: float) -> None:
+        """Take the shares from inserted objects."""
+        by_key: dict[LookKey, list[Sighting]] = {}
+        for sighting in inserted:
+            by_key.setdefault(look_key(sighting.conditions), []).append(sighting)
+        self._whole = _share(inserted, confidence)
+        self._shares = {key: _share(its, confidence) for key, its in by_key.items()}
+
+    def __getitem__(self, key: LookKey) -> Share:
+        """Return the share of a look; that of all looks where too few objects were inserted under its conditions."""
+        found = self._shares.get(key, NONE)
+        return found if found.effective >= _LEAST_EFFECTIVE else self._whole
+
+
+def look_key(conditions: Mapping[str, str]) -> LookKey:
+    """Return the key of a look from its conditions."""
+    return conditions["time"], conditions.get("ground pixel", "")
+
+
+def _share(inserted: Sequence[Sighting], confidence: float) -> Share:
+    found = np.array([s.score >= confidence for s in inserted], np.bool_)
+    return weighted_share(found, [s.cluster for s in inserted])
+
+
+def count_looks(trials: Trials, confidence: float, *, labelled: bool) -> CountFacts:
+    """Return the corrected count of the objects that the searched pictures show.
+
+    Args:
+        trials: Finished trials.
+        confidence: Least score of a detection.
+        labelled: Whether labels say which detections are of real objects; otherwise all are counted.
+    """
+    shares = LookShares(trials.inserted, confidence)
+    counts: Counter[LookKey] = Counter()
+    for picture in trials.searched.values():
+        counts.update(_keys(picture, confidence, labelled=labelled))
+    detections = sum(counts.values())
+    facts: CountFacts = {
+        "of": "labelled" if labelled else "all",
+        "detections": detections,
+        "corrected": None,
+        "low": None,
+        "high": None,
+    }
+    estimate = 0.0
+    variance = 0.0
+    for key, count in sorted(counts.items()):
+        share = shares[key]
+        if not share.value:
+            return facts
+        estimate += count / share.value
+        variance += count * (1 - share.value) / share.value**2 + (count / share.value**2) ** 2 * share.variance
+    half = Z95 * math.sqrt(variance)
+    return {
+        **facts,
+        "corrected": estimate,
+        "low": max(float(detections), estimate - half),
+        "high": estimate + half,
+    }
+
+
+def _keys(picture: SearchedPicture, confidence: float, *, labelled: bool) -> list[LookKey]:
+    counted = picture.found.scores >= confidence
+    if labelled:
+        counted &= ~picture.alarms
+    boxes = picture.found.boxes_xyxy[counted]
+    return [look_key(c) for c in look_conditions(picture.image, (boxes[:, :2] + boxes[:, 2:]) / 2)]

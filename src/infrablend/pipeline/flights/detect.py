@@ -1,0 +1,243 @@
+"""Runs a detector on the pictures of a flight, or of any dataset, and writes what it finds as a file and a table."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.files import write_text
+from infrablend.core.output_checks import require_apart
+from infrablend.core.tasks import OnProgress, paced
+from infrablend.core.workspace import DETECT_FILE, replacing, workspace
+from infrablend.detection.detection_source import file_of
+from infrablend.detection.detections import (
+    MAX_DETECTIONS,
+    PREDICTIONS,
+    Detections,
+    Predictions,
+    read_predictions,
+    write_predictions,
+)
+from infrablend.detection.finder import CONFIDENCE, Finder, load_finder
+from infrablend.detection.truth import image_key
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.pictures.images import load_background
+from infrablend.formats.values import csv_text
+from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
+
+TABLE = "detections.csv"
+COLUMNS = (
+    "picture", "time", "left", "top", "right", "bottom", "class", "score", "track", "latitude", "longitude",
+    "ellipse_long_m", "ellipse_short_m", "ellipse_bearing_deg",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DetectReport:
+    """What a detector found.
+
+    Attributes:
+        out: Folder of the detections.
+        pictures: Number of pictures that were searched.
+        found: Number of detections from the confidence on, by class.
+        with_some: Number of pictures with such a detection.
+        problems: Pictures that were not searched, each with its reason, and warnings.
+    """
+
+    out: Path
+    pictures: int
+    found: Mapping[str, int]
+    with_some: int
+    problems: tuple[Problem, ...] = field(default=())
+
+    @property
+    def ok(self) -> bool:
+        """True if something was found and every picture was searched."""
+        return bool(self.with_some) and not any(p.severity == "error" for p in self.problems)
+
+    def to_json(self) -> dict[str, object]:
+        """Return plain JSON values."""
+        return {
+            "out": str(self.out),
+            "pictures": self.pictures,
+            "found": dict(self.found),
+            "with_some": self.with_some,
+            "problems": [p.to_json() for p in self.problems],
+        }
+
+
+def detect_objects(
+    detector: Path,
+    dataset: Dataset,
+    out: Path,
+    request: DetectRequest = DEFAULT_DETECT,
+    *,
+    overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+) -> DetectReport:
+    """Write `predictions.json`, `detections.csv` and `detect.json`.
+
+    Args:
+        detector: Weights, ONNX file, or detections in COCO; or the folder of a training, a `detect` or an evaluation.
+        dataset: The pictures.
+        out: Folder to write.
+        request: How to detect.
+        overwrite: Whether to replace earlier detections in `out`.
+        on_progress: Called with the number of pictures searched so far.
+
+    Raises:
+        MissingDependencyError: A package or device is missing.
+        ModelError: The detector cannot be used.
+        DatasetError: No picture can be searched.
+        OutputError: `out` has something that may not be replaced, or cannot be written.
+    """
+    require_apart(dataset.root, out)
+    problems = list(dataset.problems)
+    with workspace(out, "detections", DETECT_FILE, replacing(overwrite)) as space:
+        file = file_of(detector)
+        if file.suffix.lower() == ".json":
+            predictions = _saved(file, dataset, problems)
+        else:
+            finder = load_finder(
+                file, device=request.device, classes=request.classes or (), threads=request.threads,
+                image_size=request.image_size, overlap_px=request.overlap,
+            )  # fmt: skip
+            predictions = _searched(finder, dataset, problems, paced(on_progress))
+        if not predictions.images:
+            raise DatasetError(f"{dataset.root}: no picture can be searched", problems)
+        shown = {key: at_least(found, request.confidence) for key, found in predictions.images.items()}
+        total = Counter(predictions.classes[k] for found in shown.values() for k in found.classes.tolist())
+        problems += _remarks(predictions, total, request.confidence)
+        write_predictions(space.folder / PREDICTIONS, predictions)
+        write_text(space.folder / TABLE, _table(dataset, shown, predictions.classes))
+        with_some = sum(bool(len(found)) for found in shown.values())
+        counts = {name: total[name] for name in predictions.classes if total[name]}
+        report = DetectReport(out, len(predictions.images), counts, with_some, tuple(problems))
+        space.finish(
+            {
+                "detector": dict(predictions.facts),
+                "classes": list(predictions.classes),
+                "data": str(dataset.root),
+                "format": dataset.format,
+                "confidence": request.confidence,
+                **{k: v for k, v in report.to_json().items() if k != "out"},
+            }
+        )
+    return report
+
+
+def at_least(found: Detections, confidence: float) -> Detections:
+    """Return the detections from a score on."""
+    return found.take(np.flatnonzero(found.scores >= confidence))
+
+
+def _searched(
+    finder: Finder, dataset: Dataset, problems: list[Problem], progress: Callable[[int, int], None] | None
+) -> Predictions:
+    """Return what a detector finds in the pictures that can be read, and append the problems of others."""
+    problems += finder.problems
+    found: dict[str, Detections] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+    deep = 0
+    for n, image in enumerate(dataset.images, 1):
+        try:
+            picture = load_background(image.path, image.size_wh)
+            found[image_key(image)] = finder.find(picture.pixels, CONFIDENCE, image.capture.scale)
+        except DatasetError as error:
+            problems += error.problems
+            continue
+        except ValueError as error:
+            expected = "a picture that the gain control of the detector's training can map"
+            problems.append(Problem(image_key(image), "image-agc", str(error), expected))
+            continue
+        finally:
+            if progress is not None:
+                progress(n, len(dataset.images))
+        sizes[image_key(image)] = picture.size_wh
+        problems += picture.problems
+        deep += picture.bit_depth == 16
+    problems += _gain_remarks(finder, dataset.root.name, deep, len(found) - deep)
+    facts = dict(finder.facts) | {"confidence": CONFIDENCE}
+    return Predictions(finder.task, finder.classes, found, sizes, facts)
+
+
+def _gain_remarks(finder: Finder, where: str, deep: int, shallow: int) -> list[Problem]:
+    """Return warnings if pictures were mapped to grey levels in another way than those of the training."""
+    if deep and finder.agc is None:
+        found = f"{deep} pictures of 16 bits, and a detector that does not state the gain control of its training"
+        todo = "they went through a line from the 0.5 to the 99.5 % quantile of each; missed objects may be due to it"
+        return [Problem(where, "agc-unknown", found, "the gain control of the training", todo, "warning")]
+    if shallow and finder.agc is not None:
+        found = f"{shallow} pictures of 8 bits, whose gain control is that of their camera"
+        expected = f"pictures of 16 bits, as in the detector's training ({finder.agc.describe()})"
+        return [Problem(where, "agc-other", found, expected, severity="warning")]
+    return []
+
+
+def _saved(file: Path, dataset: Dataset, problems: list[Problem]) -> Predictions:
+    """Return the detections of a file on the pictures of the dataset, and append those that lack the other."""
+    saved = read_predictions(file, dataset.images, dataset.categories)
+    names: dict[str, str] = {}
+    for image in dataset.images:
+        name = next((n for n in (image_key(image), image.name) if n in saved.images), None)
+        if name is None:
+            found = f"{file.name} has no entry for it"
+            problems.append(Problem(image_key(image), "prediction-images", found, "an entry for every picture"))
+        elif image.size_wh is not None and saved.sizes_wh[name] != image.size_wh:
+            of, expected = ("{}x{} px".format(*size) for size in (saved.sizes_wh[name], image.size_wh))
+            problems.append(Problem(image_key(image), "prediction-size", f"{of} in {file.name}", expected))
+        else:
+            names[image_key(image)] = name
+    rest = len(saved.images) - len(set(names.values()))
+    if rest:
+        found = f"detections for {rest} pictures that the data do not have, or have twice, left out"
+        problems.append(Problem(file.name, "prediction-images", found, "pictures of the data", severity="warning"))
+    return Predictions(
+        saved.task,
+        saved.classes,
+        {key: saved.images[name] for key, name in names.items()},
+        {key: saved.sizes_wh[name] for key, name in names.items()},
+        saved.facts,
+    )
+
+
+def _remarks(predictions: Predictions, total: Mapping[str, int], confidence: float) -> list[Problem]:
+    """Return warnings about what was found: nothing, or more than is kept."""
+    remarks = []
+    full = [key for key, found in predictions.images.items() if len(found) >= MAX_DETECTIONS]
+    if full:
+        found = f"{len(full)} pictures, such as {full[0]}, have {MAX_DETECTIONS} detections or more"
+        todo = f"only those with the best scores are in {PREDICTIONS}"
+        remarks.append(Problem("detections", "detections-cut", found, f"up to {MAX_DETECTIONS}", todo, "warning"))
+    if not any(total.values()):
+        best = max((float(d.scores[0]) for d in predictions.images.values() if len(d)), default=0.0)
+        found = f"nothing found with a score from {confidence:g} on; the best has {best:.3f}"
+        todo = "a lower --confidence shows more; a detector for other pictures or objects finds nothing"
+        remarks.append(Problem("detections", "detections-none", found, "some", todo, "warning"))
+    return remarks
+
+
+def _table(dataset: Dataset, shown: Mapping[str, Detections], classes: tuple[str, ...]) -> str:
+    """Return the table of detections, picture by picture, those of a picture by descending score."""
+    rows: list[tuple[object, ...]] = []
+    for image in dataset.images:
+        found = shown.get(image_key(image))
+        if found is not None:
+            rows += [
+                (image_key(image), time_text(image), *box, classes[of], score, *[""] * 6)
+                for box, of, score in zip(
+                    found.boxes_xyxy.tolist(), found.classes.tolist(), found.scores.tolist(), strict=True
+                )
+            ]
+    return csv_text(COLUMNS, rows)
+
+
+def time_text(image: ImageRecord) -> str:
+    """Return when a picture was taken, else its second in its sequence; empty if neither is known."""
+    second = image.capture.time_s
+    return image.capture.captured or ("" if second is None else f"{second:g} s")

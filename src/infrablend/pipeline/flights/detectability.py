@@ -1,0 +1,397 @@
+"""`infrablend detectability`: measure how likely a detector finds a recipe's objects in the user's own pictures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TypedDict, cast
+
+import numpy as np
+
+from infrablend import __version__
+from infrablend.core.files import write_json, write_text
+from infrablend.core.ground_position import pose_of
+from infrablend.core.tasks import OnProgress, paced
+from infrablend.core.workspace import replacing, workspace
+from infrablend.detection.finder import Finder, load_finder
+from infrablend.detection.recall import Z95
+from infrablend.detection.training_origin import TrainingOrigin, training_origin
+from infrablend.detection.truth import image_key, match_classes
+from infrablend.errors import DatasetError, ModelError, Problem
+from infrablend.formats.image_groups import group_images
+from infrablend.formats.maps.map_files import write_geojson
+from infrablend.formats.maps.search_sectors import read_sectors
+from infrablend.formats.read_write import READ_ALL, Reading
+from infrablend.pipeline.compose.memory_frames import Frames, FramesRequest
+from infrablend.pipeline.flights.corrected_counts import LookShares
+from infrablend.pipeline.flights.detectability_figures import (
+    FACTS,
+    LEAST_COMPARED,
+    DetectabilitySettings,
+    MeasuredFacts,
+    measured_facts,
+    run_trials,
+)
+from infrablend.pipeline.flights.insert_trials import TrialRules, Trials
+from infrablend.pipeline.flights.search_map import (
+    AreaFigures,
+    SearchMap,
+    area_figures,
+    find_dependence,
+    map_detection,
+    map_features,
+)
+from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, Settings
+from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
+from infrablend.report.detectability_page import PAGE, detectability_page
+from infrablend.report.flight_map import draw_cells
+
+_SEED = 1_000_003
+"""Seed 0 of trials: other objects than those of a run with seed 0, on which a detector may have been trained."""
+_PLANNED_FRAMES = 8
+MAP = "detectability.geojson"
+DEFAULT_DETECTABILITY = DetectabilitySettings()
+
+
+@dataclass(frozen=True)
+class DetectabilityRequest:
+    """Request for the detectability of a recipe's objects.
+
+    Attributes:
+        recipe: Name of a shipped recipe, or path of a YAML file.
+        detector: Weights, an ONNX file, or the folder of a training.
+        data: Folder of the pictures.
+        settings: What counts, and how narrow the interval has to be.
+        recipe_settings: Recipe fields to set.
+        selection: Pictures to use.
+        reading: How to read the pictures.
+        execution: Workers and renderer of the inserted objects.
+        device: Device of the detector.
+        classes: Names of the classes of a detector that has none.
+        seed: Seed of the objects, their places and the order of the pictures.
+    """
+
+    recipe: str | Path
+    detector: Path
+    data: Path
+    settings: DetectabilitySettings = DEFAULT_DETECTABILITY
+    recipe_settings: Settings = ()
+    selection: FrameSelection = ALL_FRAMES
+    reading: Reading = READ_ALL
+    execution: Execution = DEFAULT_EXECUTION
+    device: str = "auto"
+    classes: tuple[str, ...] = ()
+    seed: int = 0
+
+
+class MapFacts(TypedDict):
+    """The map of a flight: its cells, how far looks depend on each other, and the figures of flight and sectors."""
+
+    cell_m: float
+    cells: int
+    rho: float
+    rho_from: str
+    track_m: float
+    sweep_width_m: float | None
+    pictures_without_pose: int
+    areas: list[AreaRow]
+
+
+class AreaRow(TypedDict):
+    """Fields of `search_map.AreaFigures`; a share is None where it is unknown."""
+
+    name: str
+    area_m2: float
+    photographed: float
+    pod: float | None
+    low: float | None
+    high: float | None
+    coverage: float | None
+
+
+class DetectabilityFacts(MeasuredFacts):
+    """Content of `detectability.json`.
+
+    `kind` is `measured`; or `upper bound` for a detector that was trained on inserted objects where no real ones say
+    how well it does.
+    """
+
+    kind: str
+    sentence: str
+    map: MapFacts | None
+    recipe: str
+    detector: Mapping[str, object]
+    trained_on: str
+    data: str
+    seed: int
+    until: float
+    infrablend: str
+    problems: list[dict[str, str]]
+
+
+@dataclass(frozen=True, eq=False)
+class DetectabilityReport:
+    """Result of `detectability`.
+
+    Attributes:
+        out: Folder with `detectability.json` and `detectability.html`.
+        facts: Content of the former.
+        problems: What was left out, and warnings.
+        seconds: Wall-clock time.
+    """
+
+    out: Path
+    facts: DetectabilityFacts
+    problems: tuple[Problem, ...] = ()
+    seconds: float = field(default=0.0, compare=False)
+
+    @property
+    def ok(self) -> bool:
+        """Whether every picture could be used."""
+        return not any(p.severity == "error" for p in self.problems)
+
+
+def measure_detectability(
+    request: DetectabilityRequest, out: Path, *, overwrite: bool = False, on_progress: OnProgress | None = None
+) -> DetectabilityReport:
+    """Insert objects into pictures in memory, let the detector search them, and write figures and page.
+
+    Raises:
+        ModelError: The detector cannot be used, or has no class of the recipe.
+        DatasetError: No picture can be used, or no object can stand in them.
+    """
+    started = time.monotonic()
+    with workspace(out, "detectability", FACTS, replacing(overwrite)) as space:
+        finder = load_finder(request.detector, device=request.device, classes=request.classes)
+        with Frames(_frames_request(request)) as frames:
+            trials = Trials(frames, finder, _rules(request, frames, finder))
+            origin = training_origin(request.detector)
+            problems = [*frames.problems, *finder.problems]
+            problems += [] if origin is None else _circles(origin, request, trials)
+            run_trials(trials, request.settings, _SEED + request.seed, paced(on_progress))
+            if not trials.inserted:
+                raise _nothing_inserted(request, trials)
+            problems += trials.unread
+            found = _search_map(request.settings, trials, problems)
+            areas = [] if found is None else _areas(request.settings, found, trials, problems)
+            facts = _facts(request, finder, origin, trials, problems)
+        if found is not None:
+            facts["map"] = _map_facts(found, areas)
+            write_geojson(space.folder / MAP, map_features(found))
+        write_json(space.folder / FACTS, facts)
+        write_text(space.folder / PAGE, detectability_page(facts, _drawn(found)))
+        space.finish(facts)
+    return DetectabilityReport(out, facts, tuple(problems), time.monotonic() - started)
+
+
+@dataclass(frozen=True)
+class DetectabilityPlan:
+    """What `detectability` will take, from a few frames that were made and searched.
+
+    Attributes:
+        objects_per_frame: Inserted objects of the class in a frame.
+        objects: Objects that make the interval as narrow as asked for, if half of them are found.
+        frames: Frames with so many objects.
+        pictures: Pictures that can be used; more frames use them again, with other objects.
+        seconds: About how long that takes.
+        problems: Pictures that were left out, and warnings.
+    """
+
+    objects_per_frame: float
+    objects: int
+    frames: int
+    pictures: int
+    seconds: float
+    problems: tuple[Problem, ...] = ()
+
+
+def plan_detectability(request: DetectabilityRequest) -> DetectabilityPlan:
+    """Return what `measure_detectability` would take; its errors are the same."""
+    finder = load_finder(request.detector, device=request.device, classes=request.classes)
+    with Frames(_frames_request(request)) as frames:
+        trials = Trials(frames, finder, _rules(request, frames, finder))
+        tried = 0
+        started = time.monotonic()
+        for tried in trials.rounds(_SEED + request.seed, 1):
+            if tried == 1:  # workers start with the first frame
+                started = time.monotonic()
+            if tried > _PLANNED_FRAMES:
+                break
+        seconds = (time.monotonic() - started) / max(tried - 1, 1)
+        per_frame = len(trials.inserted) / max(tried, 1)
+        if not per_frame:
+            raise _nothing_inserted(request, trials)
+        objects = round(0.25 * (Z95 / request.settings.until) ** 2)
+        needed = round(objects / per_frame)
+        return DetectabilityPlan(
+            per_frame,
+            objects,
+            needed,
+            len(trials.images()),
+            needed * seconds,
+            (*frames.problems, *finder.problems),
+        )
+
+
+def _frames_request(request: DetectabilityRequest) -> FramesRequest:
+    return FramesRequest(
+        request.recipe,
+        request.data,
+        request.selection,
+        _SEED + request.seed,
+        request.recipe_settings,
+        request.reading,
+        request.execution,
+    )
+
+
+def _rules(request: DetectabilityRequest, frames: Frames, finder: Finder) -> TrialRules:
+    """Return what counts.
+
+    Raises:
+        ModelError: The recipe or the detector has no such class.
+    """
+    offered = frames.inserted_classes
+    category = request.settings.category or offered[0]
+    if category not in offered:
+        problem = Problem("category", "class-unknown", category, f"a class of the recipe: {', '.join(offered)}")
+        raise ModelError(f"{request.recipe}: inserts no {category}", [problem])
+    numbers = match_classes(finder.classes, [category])[category]
+    if not numbers:
+        found = f"the detector has {', '.join(finder.classes)}"
+        todo = "give a detector of this class, name the class with --category, or set objects.0.category"
+        problem = Problem(request.detector.name, "class-absent", found, category, todo)
+        raise ModelError(f"{request.detector}: finds no {category}", [problem])
+    clusters: dict[str, str] = {}
+    if request.settings.group != "image":
+        groups = group_images(list(frames.backgrounds.values()), request.settings.group)
+        clusters = {image_key(i): name for name, its in groups.items() for i in its}
+    ignored = frozenset(c.name for c in frames.categories if c.ignore)
+    least = min(request.settings.confidences)
+    return TrialRules(category, numbers, request.settings.least_overlap, least, clusters, ignored)
+
+
+def _circles(origin: TrainingOrigin, request: DetectabilityRequest, trials: Trials) -> list[Problem]:
+    """Return warnings about a detector that knows these pictures, or these inserted objects, from its training."""
+    problems = []
+    splits = {image.split for image in trials.images()}
+    if Path(origin.data).resolve() == request.data.resolve() and "train" in splits:
+        found = "the detector was trained on pictures of the split train of this folder"
+        todo = "its figures are too good on pictures that it knows: name another --split"
+        problems.append(Problem(request.detector.name, "trained-on", found, "other pictures", todo, "warning"))
+    if origin.inserted:
+        same = f", by the recipe {origin.recipe}" if origin.recipe else ""
+        found = f"the detector was trained on {origin.inserted} inserted objects{same}"
+        todo = "where no real objects say how well it does, take its figures as an upper bound"
+        problems.append(Problem(request.detector.name, "trained-on-inserts", found, "", todo, "warning"))
+    return problems
+
+
+def _nothing_inserted(request: DetectabilityRequest, trials: Trials) -> DatasetError:
+    reasons = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in sorted(trials.counts.items()) if n)
+    found = f"no object was inserted into any of {len(trials.searched)} pictures ({reasons or 'none asked for'})"
+    todo = "look at `infrablend try` of the recipe with one of the pictures"
+    problem = Problem(str(request.recipe), "nothing-inserted", found, "objects that can stand in these pictures", todo)
+    return DatasetError(f"{request.data}: nothing to search for", [problem, *trials.unread])
+
+
+def _search_map(settings: DetectabilitySettings, trials: Trials, problems: list[Problem]) -> SearchMap | None:
+    """Return the map of the flight; None, with a warning, where no picture has a pose."""
+    images = [picture.image for picture in trials.searched.values()]
+    shares = LookShares(trials.inserted, settings.confidence)
+    dependence = find_dependence(trials.inserted, settings.confidence)
+    found = map_detection(images, shares, dependence, settings.cell_m)
+    if found is None:
+        lacking = sorted({pose for image in images if isinstance(pose := pose_of(image), str)})
+        todo = "give a table of them with --metadata, or take the figures without a map"
+        where = f"{len(images)} pictures"
+        expected = "pictures with a pose, for a map"
+        missing = f"without {'; '.join(lacking) or 'ground in view'}"
+        problems.append(Problem(where, "map-left-out", missing, expected, todo, "warning"))
+        if settings.sectors is not None:
+            raise DatasetError(f"{settings.sectors}: no map to take sectors from", problems[-1:])
+    return found
+
+
+def _areas(
+    settings: DetectabilitySettings, found: SearchMap, trials: Trials, problems: list[Problem]
+) -> list[AreaFigures]:
+    """Return the figures of the flight and of each sector.
+
+    Raises:
+        DatasetError: The sectors cannot be used.
+    """
+    areas = [area_figures(found)]
+    if settings.sectors is not None:
+        captures = [picture.image.capture for picture in trials.searched.values()]
+        places = np.array([place for c in captures if (place := c.place) is not None], np.float64)
+        sectors, elsewhere = read_sectors(settings.sectors, places)
+        problems += elsewhere
+        areas += [area_figures(found, sector) for sector in sectors]
+    return areas
+
+
+def _map_facts(found: SearchMap, areas: Sequence[AreaFigures]) -> MapFacts:
+    rows = [{k: None if v != v else v for k, v in asdict(area).items()} for area in areas]
+    return {
+        "cell_m": found.cell_m,
+        "cells": len(found.pod),
+        "rho": found.dependence.rho,
+        "rho_from": found.dependence.origin,
+        "track_m": found.track_m,
+        "sweep_width_m": found.sweep_width_m,
+        "pictures_without_pose": found.without_pose,
+        "areas": cast("list[AreaRow]", rows),
+    }
+
+
+def _drawn(found: SearchMap | None) -> bytes | None:
+    if found is None:
+        return None
+    at = f"{found.frame.latitude_deg:.5f}, {found.frame.longitude_deg:.5f}"
+    return draw_cells(found.middles_m, found.pod, found.cell_m, "probability of detection", f"origin at {at}")
+
+
+def _facts(
+    request: DetectabilityRequest,
+    finder: Finder,
+    origin: TrainingOrigin | None,
+    trials: Trials,
+    problems: list[Problem],
+) -> DetectabilityFacts:
+    measured = measured_facts(trials, request.settings)
+    trained_on = "unknown"
+    if origin is not None:
+        trained_on = f"{origin.labels - origin.inserted} real and {origin.inserted} inserted objects"
+    enough_real = measured["recall"].get("real", 0) >= LEAST_COMPARED
+    is_bound = origin is not None and origin.inserted > 0 and not enough_real
+    return {
+        **measured,
+        "kind": "upper bound" if is_bound else "measured",
+        "sentence": sentence(measured, is_bound=is_bound),
+        "map": None,
+        "recipe": str(trials.frames.recipe.name),
+        "detector": dict(finder.facts),
+        "trained_on": trained_on,
+        "data": request.data.name,
+        "seed": request.seed,
+        "until": request.settings.until,
+        "infrablend": __version__,
+        "problems": [p.to_json() for p in problems],
+    }
+
+
+def sentence(facts: MeasuredFacts, *, is_bound: bool = False) -> str:
+    """Return the result in one sentence."""
+    recall = facts["recall"]
+    alarms = next(a["alarms_per_picture"] for a in facts["confidences"] if a["confidence"] == facts["confidence"])
+    targets = [c for c in facts["cells"] if c["by"] == "target"]
+    found = f"{recall['predicted']:.2f} ({recall['low']:.2f} to {recall['high']:.2f})"
+    text = f"In these pictures, a {facts['category']} would be found with {'at most ' if is_bound else ''}{found}"
+    if len(targets) > 1:
+        parts = (f"{c['value']} {c['predicted']:.2f} ({c['low']:.2f} to {c['high']:.2f})" for c in targets)
+        text += f" ({', '.join(parts)})"
+    kind = "false alarms" if recall.get("real") else "alarms"
+    return f"{text}, at {alarms:.2f} {kind} a picture and confidence {facts['confidence']:g}."

@@ -1,0 +1,322 @@
+"""How likely a detector finds an object in the user's own pictures, measured with inserted ones.
+
+The recipe's objects are inserted until the interval of the share that the detector finds is as narrow as asked for.
+Where the pictures have labels of the class, the same figures of the real objects stand beside them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypedDict
+
+import numpy as np
+
+from infrablend.core.arguments import require_whole
+from infrablend.detection.detections import FloatArray
+from infrablend.detection.matching import SIZE_BINS
+from infrablend.detection.recall import Share, difference, weighted_share, weights_of_sizes
+from infrablend.detection.sightings import Sighting
+from infrablend.errors import ArgumentError
+from infrablend.pipeline.flights.corrected_counts import CountFacts, count_looks
+from infrablend.pipeline.flights.insert_trials import Trials
+from infrablend.report.figures import stratum_order
+
+CONFIDENCES = (0.1, 0.25, 0.4)
+FACTS = "detectability.json"
+
+# Figures are looked at after so many inserted objects, and again after so many more.
+_FIRST = 40
+_MORE = 20
+# Least number of inserted objects in a cell, and of real ones, for it to be listed or compared.
+_LEAST_IN_CELL = 10
+LEAST_COMPARED = 40
+
+
+@dataclass(frozen=True)
+class DetectabilitySettings:
+    """Settings of `detectability`.
+
+    Attributes:
+        until: Insert until half of the interval of the share found is at most this.
+        confidence: Least score of a detection that counts as one.
+        category: Class to look for [default: that of the recipe's first object].
+        least_overlap: Least overlap of a detection with its object.
+        most_rounds: Most times that each picture is used, each time with other objects.
+        group: Pictures whose results depend on each other: image, sequence, date or gap.
+        sizes: Sizes of objects to weight by: those of the labelled objects (real), or of the inserted ones (inserted).
+        sectors: GeoJSON file with the sectors of a search, to give figures for each.
+        cell_m: Side of a cell of the map, metres [default: some 2,500 cells].
+
+    Raises:
+        ArgumentError: A value is not one of these.
+    """
+
+    until: float = 0.03
+    confidence: float = 0.25
+    category: str | None = None
+    least_overlap: float = 0.3
+    most_rounds: int = 10
+    group: Literal["image", "sequence", "date", "gap"] = "image"
+    sizes: Literal["real", "inserted"] = "real"
+    sectors: Path | None = None
+    cell_m: float | None = None
+
+    def __post_init__(self) -> None:
+        require_whole("most_rounds", self.most_rounds, 1)
+        if self.cell_m is not None and not 0.01 <= self.cell_m <= 1000:
+            raise ArgumentError(f"cell_m: found {self.cell_m}, expected metres from 0.01 to 1000")
+        for name, low, high in (("until", 0.0, 0.5), ("confidence", 0.01, 1.0), ("least_overlap", 0.0, 1.0)):
+            value = getattr(self, name)
+            if not low < value <= high and not (name == "confidence" and value == low):
+                raise ArgumentError(f"{name}: found {value}, expected a number above {low:g} and up to {high:g}")
+
+    @property
+    def confidences(self) -> tuple[float, ...]:
+        """Confidences to report, in ascending order."""
+        return tuple(sorted({*CONFIDENCES, self.confidence}))
+
+
+class RecallFacts(TypedDict, total=False):
+    """Share of objects found: of inserted ones, and of real ones where the data have labels.
+
+    `difference` is predicted less actual, with the ends of its interval.
+    """
+
+    predicted: float | None
+    low: float | None
+    high: float | None
+    inserted: int
+    actual: float | None
+    actual_low: float | None
+    actual_high: float | None
+    real: int
+    difference: list[float]
+
+
+class CellFacts(RecallFacts):
+    """The same of objects with one value of a condition."""
+
+    by: str
+    value: str
+
+
+class AlarmFacts(RecallFacts):
+    """The same at one confidence, with the detections that see no labelled object."""
+
+    confidence: float
+    alarms_per_picture: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Inserted and real objects whose recall is compared.
+
+    Attributes:
+        inserted: Inserted objects.
+        real: Real objects of the same kind; those that were searched.
+        weights: Weights of the inserted objects; those of sizes that no real object has are 0.
+        left_out: Number of real objects of sizes that no inserted one has.
+    """
+
+    inserted: Sequence[Sighting]
+    real: Sequence[Sighting]
+    weights: FloatArray
+    left_out: int = 0
+
+    @classmethod
+    def of(cls, inserted: Sequence[Sighting], real: Sequence[Sighting], sizes: Sizes | None) -> Comparison:
+        """Return the comparison with weights by the sizes of real objects; all equal without any."""
+        if sizes is None or not len(sizes.px):
+            return cls(inserted, real, np.ones(len(inserted)))
+        px = np.array([s.size_px for s in inserted], np.float64)
+        times = [s.conditions["time"] for s in inserted]
+        weights, left_out = weights_of_sizes(px, times, sizes.px, sizes.times)
+        return cls(inserted, real, weights, left_out)
+
+    def predicted(self, confidence: float, score: Callable[[Sighting], float]) -> Share:
+        """Return the share of inserted objects that are found."""
+        found = np.array([score(s) >= confidence for s in self.inserted], np.bool_)
+        return weighted_share(found, [s.cluster for s in self.inserted], self.weights)
+
+    def recall(self, confidence: float, score: Callable[[Sighting], float]) -> RecallFacts:
+        """Return the shares of inserted and of real objects that are found."""
+        said = self.predicted(confidence, score)
+        facts: RecallFacts = {"predicted": said.value, "low": said.low, "high": said.high, "inserted": said.count}
+        if self.real:
+            found = np.array([score(s) >= confidence for s in self.real], np.bool_)
+            actual = weighted_share(found, [s.cluster for s in self.real])
+            facts |= {
+                "actual": actual.value,
+                "actual_low": actual.low,
+                "actual_high": actual.high,
+                "real": actual.count,
+            }
+            apart = difference(said, actual)
+            if apart is not None:
+                facts["difference"] = list(apart)
+        return facts
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """Sizes of the labelled objects of a dataset.
+
+    Attributes:
+        px: (n,) longer sides of their boxes, px.
+        times: Their times of day.
+    """
+
+    px: FloatArray
+    times: Sequence[str]
+
+
+def by_overlap(sighting: Sighting) -> float:
+    """Return the score of the detection that overlaps the object."""
+    return sighting.score
+
+
+def by_place(sighting: Sighting) -> float:
+    """Return the score of the detection at the place of the object, whatever its box."""
+    return max(sighting.score, sighting.score_near)
+
+
+def run_trials(
+    trials: Trials,
+    settings: DetectabilitySettings,
+    seed: int,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Insert and search until the interval is as narrow as asked for, or all rounds are done.
+
+    Then search the pictures with labelled objects that no frame was made of: what the figures are compared with.
+    """
+    sizes = sizes_of(trials, settings)
+    wanted = _FIRST
+    for _ in trials.rounds(seed, settings.most_rounds):
+        inserted = len(trials.inserted)
+        share = None
+        if inserted >= wanted:
+            share = Comparison.of(trials.inserted, (), sizes).predicted(settings.confidence, by_overlap)
+            wanted = inserted + _MORE
+            if share.half_width <= settings.until:
+                break
+        if on_progress is not None:
+            on_progress(inserted, max(inserted + 1, _needed(share, settings.until)))
+    labelled = [i for i in trials.images() if any(trials.rules.is_class(o.category) for o in i.instances)]
+    for image in labelled:
+        trials.search(image)
+
+
+def _needed(share: Share | None, until: float) -> int:
+    """Return about how many inserted objects make half of the interval as narrow as `until`."""
+    if share is None or not math.isfinite(share.half_width):
+        return round(0.25 / (until / 2) ** 2)
+    return round(share.count * (share.half_width / until) ** 2)
+
+
+def sizes_of(trials: Trials, settings: DetectabilitySettings) -> Sizes | None:
+    """Return the sizes to weight the inserted objects by; None to leave them as they are."""
+    return Sizes(*trials.labelled_sizes()) if settings.sizes == "real" else None
+
+
+class MeasuredFacts(TypedDict):
+    """What trials measured, see docs/explanation/detectability.md."""
+
+    category: str
+    confidence: float
+    least_overlap: float
+    recall: RecallFacts
+    at_place: RecallFacts
+    confidences: list[AlarmFacts]
+    cells: list[CellFacts]
+    tracks: RecallFacts | None
+    counted: CountFacts
+    pictures: int
+    weighted_by: str
+    real_of_other_sizes: int
+    not_counted: dict[str, int]
+
+
+def measured_facts(trials: Trials, settings: DetectabilitySettings) -> MeasuredFacts:
+    """Return the figures of finished trials."""
+    sizes = sizes_of(trials, settings)
+    real = trials.real()
+    whole = Comparison.of(trials.inserted, real, sizes)
+    scores = [picture.found.scores[picture.alarms] for picture in trials.searched.values()]
+    alarms = np.concatenate(scores) if scores else np.zeros(0)
+    pictures = len(trials.searched)
+    return {
+        "category": trials.rules.category,
+        "confidence": settings.confidence,
+        "least_overlap": settings.least_overlap,
+        "recall": whole.recall(settings.confidence, by_overlap),
+        "at_place": whole.recall(settings.confidence, by_place),
+        "confidences": [
+            AlarmFacts(
+                **whole.recall(confidence, by_overlap),
+                confidence=confidence,
+                alarms_per_picture=float((alarms >= confidence).sum()) / max(pictures, 1),
+            )
+            for confidence in settings.confidences
+        ],
+        "cells": list(_cells(trials.inserted, real, settings, weighted=sizes is not None)),
+        "tracks": _by_track(trials.inserted, settings.confidence),
+        "counted": count_looks(trials, settings.confidence, labelled=len(real) > 0),
+        "pictures": pictures,
+        "weighted_by": "sizes of the labelled objects" if sizes is not None and len(sizes.px) else "nothing",
+        "real_of_other_sizes": whole.left_out,
+        "not_counted": {name: n for name, n in sorted(trials.counts.items()) if n},
+    }
+
+
+def _cells(
+    inserted: Sequence[Sighting], real: Sequence[Sighting], settings: DetectabilitySettings, *, weighted: bool
+) -> Iterable[CellFacts]:
+    """Yield the figures by size and by each condition, and by both time of day and size."""
+    for by, value_of in _conditions(inserted).items():
+        values = sorted(
+            {v for s in (*inserted, *real) if (v := value_of(s)) is not None},
+            key=lambda v: (v.rpartition(", ")[0], stratum_order(v.rpartition(", ")[2])),
+        )
+        for value in values:
+            ours = [s for s in inserted if value_of(s) == value]
+            theirs = [s for s in real if value_of(s) == value]
+            if len(ours) < _LEAST_IN_CELL:
+                continue
+            sizes = None
+            if weighted and theirs:
+                px = np.array([s.size_px for s in theirs], np.float64)
+                sizes = Sizes(px, [s.conditions["time"] for s in theirs])
+            facts = Comparison.of(ours, theirs, sizes).recall(settings.confidence, by_overlap)
+            yield CellFacts(**facts, by=by, value=value)
+
+
+def _conditions(inserted: Sequence[Sighting]) -> dict[str, Callable[[Sighting], str | None]]:
+    names = sorted({name for s in inserted for name in s.conditions})
+    of: dict[str, Callable[[Sighting], str | None]] = {"size": size_bin}
+    for name in names:
+        of[name] = lambda s, name=name: s.conditions.get(name)  # type: ignore[misc]
+    of["time, size"] = lambda s: f"{s.conditions['time']}, {size_bin(s)}"
+    return of
+
+
+def size_bin(sighting: Sighting) -> str:
+    """Return the name of the range of sizes of an object, such as `8-16 px`."""
+    name = next(n for n, (low, high) in SIZE_BINS.items() if n != "all" and low <= sighting.size_px < high)
+    return f"{name} px"
+
+
+def _by_track(inserted: Sequence[Sighting], confidence: float) -> RecallFacts | None:
+    """Return the share of objects of sequences that are found at least once over all looks; None without tracks."""
+    best: dict[str, float] = {}
+    for s in inserted:
+        if s.track:
+            best[s.track] = max(best.get(s.track, 0.0), s.score)
+    if not best:
+        return None
+    found = np.array([score >= confidence for score in best.values()], np.bool_)
+    share = weighted_share(found, list(best))
+    return {"predicted": share.value, "low": share.low, "high": share.high, "inserted": share.count}
