@@ -20,23 +20,22 @@ _NOT_COUNTED: Mapping[str, str] = {
 
 def recall_table(rows: Iterable[Mapping[str, Any]], names: Sequence[str], title: str) -> Table:
     """Return shares of inserted and real objects found; `names` are the fields that name a row."""
-    head = [*names, "inserted", "found", "95 %", "real", "found", "95 %", "difference", "95 %"]
+    rows = list(rows)
+    head = [*names, "inserted", "found", "95 %"]
+    with_real = any("actual" in row for row in rows)
+    if with_real:
+        head += ["real", "found", "95 %", "difference", "95 %"]
     lines = []
     for row in rows:
-        apart = row.get("difference")
-        lines.append(
-            [
-                *(str(row[name]) for name in names),
-                str(row["inserted"]),
-                decimals(row["predicted"]),
-                interval((row["low"], row["high"])),
-                str(row.get("real", "")),
-                decimals(row["actual"]) if "actual" in row else "",
-                interval((row["actual_low"], row["actual_high"])) if "actual" in row else "",
-                f"{apart[0]:+.3f}" if apart else "",
-                interval(apart[1:], signed=True) if apart else "",
-            ]
-        )
+        line = [*(str(row[name]) for name in names), str(row["inserted"])]
+        line += [decimals(row["predicted"]), interval((row["low"], row["high"]))]
+        if "actual" in row:
+            line += [str(row["real"]), decimals(row["actual"]), interval((row["actual_low"], row["actual_high"]))]
+            apart = row.get("difference")
+            line += [f"{apart[0]:+.3f}", interval(apart[1:], signed=True)] if apart else ["", ""]
+        elif with_real:
+            line += [""] * 5
+        lines.append(line)
     return Table(head, lines, title)
 
 
@@ -62,7 +61,7 @@ def trust_text(facts: Mapping[str, Any]) -> str:
     )
 
 
-def draw_cells(facts: Mapping[str, Any]) -> bytes:
+def draw_shares(facts: Mapping[str, Any]) -> bytes:
     """Return a chart of the shares found, with intervals: by size on the left, by the other conditions on the right."""
     cells = facts["cells"]
     by_size = [c for c in cells if c["by"] == "size"]
@@ -84,8 +83,29 @@ def draw_cells(facts: Mapping[str, Any]) -> bytes:
     return png_bytes(figure)
 
 
-def detectability_page(facts: Mapping[str, Any]) -> str:
-    """Return the HTML page; the same facts give the same bytes."""
+def area_table(areas: Iterable[Mapping[str, Any]]) -> Table:
+    """Return the probability of detection of the flight and of each sector."""
+    rows = [
+        [
+            area["name"],
+            f"{area['area_m2'] / 1e4:.2f}",
+            decimals(area["photographed"]),
+            decimals(area["pod"]),
+            "" if area["pod"] is None else interval((area["low"], area["high"])),
+            decimals(area["coverage"]),
+        ]
+        for area in areas
+    ]
+    return Table(["area", "hectares", "photographed", "POD", "range", "coverage C"], rows)
+
+
+def detectability_page(facts: Mapping[str, Any], drawn_map: bytes | None = None) -> str:
+    """Return the HTML page; the same facts give the same bytes.
+
+    Args:
+        facts: Content of `detectability.json`.
+        drawn_map: Map of the flight as SVG; None without one.
+    """
     confidences = [
         {**row, "confidence": f"{row['confidence']:g}", "alarms a picture": decimals(row["alarms_per_picture"])}
         for row in facts["confidences"]
@@ -102,7 +122,9 @@ def detectability_page(facts: Mapping[str, Any]) -> str:
         facts=facts,
         tables=tables,
         trust=trust_text(facts),
-        chart=draw_cells(facts),
+        chart=draw_shares(facts),
+        drawn_map=drawn_map,
+        areas=area_table(facts["map"]["areas"]) if facts["map"] else None,
         tracks="" if tracks is None else f"{decimals(tracks['predicted'])} {interval((tracks['low'], tracks['high']))}",
         not_counted="; ".join(lost) or "Every object that was asked for was inserted and searched for.",
     )

@@ -9,51 +9,34 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from infrablend.core.dataset import ImageRecord
 from infrablend.core.ground_position import (
     PROBABILITY,
     Ellipse,
     LocalFrame,
     Pose,
-    PoseErrors,
     ellipse,
     footprint,
     ground_of_pixels,
     ground_pixel_m,
-    pose_of,
     position_covariance,
 )
 from infrablend.core.mesh import FloatArray
-from infrablend.detection.detections import Predictions
+from infrablend.detection.detections import Detections, Predictions
 from infrablend.formats.maps.map_files import MapFeature, write_geojson, write_gpx, write_kml
+from infrablend.pipeline.flights.flight_poses import FlightPoses
+from infrablend.pipeline.flights.terrain import Terrain
 from infrablend.report.flight_map import draw_flight
 
 DETECTIONS_MAP = "detections.geojson"
 FOOTPRINTS_MAP = "footprints.geojson"
 _BLUE = "#0072b2"
-# Pictures farther apart than this are on maps of their own: there, a plane is no longer the earth.
-_SAME_MAP_M = 20_000.0
-
-
-@dataclass(frozen=True, eq=False)
-class FlightPoses:
-    """Poses of the pictures of a flight, by `<split>/<name>`.
-
-    Attributes:
-        known: Pose of each picture.
-        frames: Frame in which its metres are.
-        lacking: What the other pictures lack for one.
-    """
-
-    known: Mapping[str, Pose]
-    frames: Mapping[str, LocalFrame]
-    lacking: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -83,56 +66,61 @@ class PlacedDetection:
     ground_pixel_m: float
 
 
-def find_poses(images: Sequence[ImageRecord], errors: PoseErrors | None = None) -> FlightPoses:
-    """Return the poses of pictures that state all that is needed, with standard errors replaced where given."""
-    known: dict[str, Pose] = {}
-    frames: dict[str, LocalFrame] = {}
-    lacking: dict[str, str] = {}
-    origins: list[LocalFrame] = []
-    for image in images:
-        key = f"{image.split}/{image.name}"
-        pose = pose_of(image, errors)
-        if isinstance(pose, str):
-            lacking[key] = pose
-            continue
-        place = pose.latitude_deg, pose.longitude_deg
-        near = [o for o in origins if np.linalg.norm(o.to_metres(*place)) <= _SAME_MAP_M]
-        if not near:
-            origins += (near := [LocalFrame(*place)])
-        known[key], frames[key] = pose, near[0]
-    return FlightPoses(known, frames, lacking)
-
-
-def place_detections(predictions: Predictions, poses: FlightPoses) -> tuple[list[PlacedDetection], int]:
+def place_detections(
+    predictions: Predictions, poses: FlightPoses, terrain: Terrain | None = None
+) -> tuple[list[PlacedDetection], int]:
     """Return the detections on the ground, by picture and number, and how many of pictures with a pose have no place.
 
-    Those are nearer to the horizon than `core.ground_position.LEAST_DEPRESSION_DEG`, or above it.
+    Those are nearer to the horizon than `core.ground_position.LEAST_DEPRESSION_DEG`, or leave the height model.
     """
-    placed = []
-    nowhere = 0
+    placed: list[PlacedDetection] = []
+    tried = 0
     for key, found in sorted(predictions.images.items()):
-        if (pose := poses.known.get(key)) is None or not len(found):
+        pose = poses.known.get(key)
+        if pose is None or not len(found):
             continue
+        tried += len(found)
         frame = poses.frames[key]
         xy = ground_contact(found.boxes_xyxy, pose)
-        en = ground_of_pixels(pose, frame, xy)
-        covariances = position_covariance(pose, frame, xy)
-        pixel_m = ground_pixel_m(pose, xy)
-        sides = (found.boxes_xyxy[:, 2:] - found.boxes_xyxy[:, :2]).max(axis=1)
-        for k in range(len(found)):
-            if np.isnan(en[k, 0]):
-                nowhere += 1
-                continue
-            latitude, longitude = frame.to_degrees(*en[k]).tolist()
-            category = predictions.classes[int(found.classes[k])]
-            size_m = float(sides[k] * pixel_m[k])
-            placed.append(
-                PlacedDetection(
-                    key, k, category, float(found.scores[k]), latitude, longitude, ellipse(covariances[k]), size_m,
-                    float(pixel_m[k]),
-                )
-            )  # fmt: skip
-    return placed, nowhere
+        every = np.arange(len(found))
+        if terrain is None:
+            placed += _placed(key, found, predictions.classes, pose, frame, xy, every)
+            continue
+        for k in every:
+            over = replace(pose, height_m=terrain.height_m(key, pose, frame, xy[k]))
+            placed += _placed(key, found, predictions.classes, over, frame, xy, every[k : k + 1])
+    return placed, tried - len(placed)
+
+
+def _placed(
+    key: str,
+    found: Detections,
+    classes: Sequence[str],
+    pose: Pose,
+    frame: LocalFrame,
+    xy: FloatArray,
+    which: NDArray[np.int_],
+) -> Iterator[PlacedDetection]:
+    """Yield those of some detections of a picture whose pixels `xy` meet the ground below the camera's height."""
+    en = ground_of_pixels(pose, frame, xy[which])
+    covariances = position_covariance(pose, frame, xy[which])
+    pixel_m = ground_pixel_m(pose, xy[which])
+    for k, place, covariance, pixel in zip(which.tolist(), en, covariances, pixel_m.tolist(), strict=True):
+        if np.isnan(place).any():
+            continue
+        latitude, longitude = frame.to_degrees(*place).tolist()
+        left, top, right, bottom = found.boxes_xyxy[k]
+        yield PlacedDetection(
+            picture=key,
+            number=k,
+            category=classes[int(found.classes[k])],
+            score=float(found.scores[k]),
+            latitude_deg=latitude,
+            longitude_deg=longitude,
+            ellipse=ellipse(covariance),
+            size_m=float(max(right - left, bottom - top)) * pixel,
+            ground_pixel_m=pixel,
+        )
 
 
 def ground_contact(boxes_xyxy: FloatArray, pose: Pose) -> FloatArray:

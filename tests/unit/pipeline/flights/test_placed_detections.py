@@ -13,9 +13,9 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.ground_position import LocalFrame, Pose, PoseErrors, pixels_of_ground
 from infrablend.detection.detections import Predictions, detections
+from infrablend.pipeline.flights.flight_poses import find_poses
 from infrablend.pipeline.flights.placed_detections import (
     draw_maps,
-    find_poses,
     ground_contact,
     place_detections,
     write_maps,
