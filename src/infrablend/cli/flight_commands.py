@@ -88,7 +88,7 @@ def detect(
         f"pictures with detections from {request.confidence:g}": str(report.with_some),
         **{name: str(n) for name, n in report.found.items()},
     }
-    show_report(session, report, out / "detect.json", report.to_json(), lambda: f"{table(rows)}\n{out}")
+    show_report(session, report, out / "detect.json", report.to_json(), lambda: f"{table(rows)}\n{out / 'report.html'}")
 
 
 def detectability(

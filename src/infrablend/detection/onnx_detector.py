@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import hashlib
 import json
 import logging
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.config.agc import Agc, agc_from_json
-from infrablend.core.files import read_object
+from infrablend.core.files import read_object, sha256_of
 from infrablend.core.machine import usable_cores
 from infrablend.detection.detections import MAX_DETECTIONS, Detections, detections
 from infrablend.detection.onnx_outputs import NetworkForm, Outputs, recognise
@@ -160,7 +159,7 @@ def load_onnx(
     agc = mark.get("agc")
     facts: dict[str, object] = {
         "weights": path.name,
-        "weights_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "weights_sha256": sha256_of(path),
         "network": form.name,
         "device": "cuda" if "CUDA" in session.get_providers()[0] else "cpu",
         "onnxruntime": _onnxruntime().__version__,

@@ -49,8 +49,6 @@ _EXACT_PX = 0.1
 _MOST_SIGMA = 0.1
 # A median of distances in the plane, times this, is the deviation of one coordinate.
 _MEDIAN_TO_DEVIATION = 1 / math.sqrt(2 * math.log(2))
-# Most correlation of neighbouring errors that is counted.
-_MOST_ALIKE = 0.9
 
 
 @dataclass(frozen=True)
@@ -322,8 +320,13 @@ def _centred(values: Complex, group: NDArray[np.int_], used: NDArray[np.bool_]) 
 
 
 def _alike(rest: Complex, group: NDArray[np.int_]) -> float:
-    """Return by what the variance grows because errors of neighbouring pictures are alike."""
-    same = group[1:] == group[:-1]
-    product = float((rest[1:] * np.conj(rest[:-1])).real[same].sum())
-    alike = min(max(product / max(float((np.abs(rest) ** 2).sum()), 1e-12), 0.0), _MOST_ALIKE)
-    return (1 + alike) / (1 - alike)
+    """Return by what the variance grows because errors of pictures that follow each other are alike."""
+    total = float((np.abs(rest) ** 2).sum())
+    grown = 1.0
+    for lag in range(1, len(rest) // 2):
+        same = group[lag:] == group[:-lag]
+        alike = float((rest[lag:] * np.conj(rest[:-lag])).real[same].sum()) / max(total, 1e-12)
+        if alike <= 0:
+            break
+        grown += 2 * alike
+    return grown

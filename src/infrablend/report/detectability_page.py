@@ -62,7 +62,7 @@ def trust_text(facts: Mapping[str, Any]) -> str:
     )
 
 
-def draw_cells(facts: Mapping[str, Any]) -> bytes:
+def draw_shares(facts: Mapping[str, Any]) -> bytes:
     """Return a chart of the shares found, with intervals: by size on the left, by the other conditions on the right."""
     cells = facts["cells"]
     by_size = [c for c in cells if c["by"] == "size"]
@@ -84,8 +84,29 @@ def draw_cells(facts: Mapping[str, Any]) -> bytes:
     return png_bytes(figure)
 
 
-def detectability_page(facts: Mapping[str, Any]) -> str:
-    """Return the HTML page; the same facts give the same bytes."""
+def area_table(areas: Iterable[Mapping[str, Any]]) -> Table:
+    """Return the probability of detection of the flight and of each sector."""
+    rows = [
+        [
+            area["name"],
+            f"{area['area_m2'] / 1e4:.2f}",
+            decimals(area["photographed"]),
+            decimals(area["pod"]),
+            "" if area["pod"] is None else interval((area["low"], area["high"])),
+            decimals(area["coverage"]),
+        ]
+        for area in areas
+    ]
+    return Table(["area", "hectares", "photographed", "POD", "range", "coverage C"], rows)
+
+
+def detectability_page(facts: Mapping[str, Any], drawn_map: bytes | None = None) -> str:
+    """Return the HTML page; the same facts give the same bytes.
+
+    Args:
+        facts: Content of `detectability.json`.
+        drawn_map: Map of the flight as SVG; None without one.
+    """
     confidences = [
         {**row, "confidence": f"{row['confidence']:g}", "alarms a picture": decimals(row["alarms_per_picture"])}
         for row in facts["confidences"]
@@ -102,7 +123,9 @@ def detectability_page(facts: Mapping[str, Any]) -> str:
         facts=facts,
         tables=tables,
         trust=trust_text(facts),
-        chart=draw_cells(facts),
+        chart=draw_shares(facts),
+        drawn_map=drawn_map,
+        areas=area_table(facts["map"]["areas"]) if facts["map"] else None,
         tracks="" if tracks is None else f"{decimals(tracks['predicted'])} {interval((tracks['low'], tracks['high']))}",
         not_counted="; ".join(lost) or "Every object that was asked for was inserted and searched for.",
     )

@@ -90,6 +90,33 @@ def draw_flight(
     return svg_bytes(figure)
 
 
+def draw_cells(middles_m: FloatArray, values: FloatArray, cell_m: float, name: str, title: str) -> bytes:
+    """Return a map of values between 0 and 1 by cell as an SVG file, north up, with a scale bar; NaN is left blank.
+
+    Args:
+        middles_m: (n, 2) middles of the cells, metres east and north, on a grid.
+        values: (n,) values.
+        cell_m: Side of a cell.
+        name: What the values are.
+        title: What the map shows.
+    """
+    low = middles_m.min(axis=0) - cell_m / 2
+    columns, rows = np.rint((middles_m - low) / cell_m - 0.5).astype(int).T
+    grid = np.full((rows.max() + 1, columns.max() + 1), np.nan)
+    grid[rows, columns] = values
+    height, width = grid.shape
+    figure, (ax,) = panels(1, 1, (8.0, min(10.0, max(4.0, 1.2 + 7.0 * height / width))))
+    extent = (low[0], low[0] + width * cell_m, low[1], low[1] + height * cell_m)
+    shown = ax.imshow(grid, extent=extent, origin="lower", cmap="RdYlGn", vmin=0, vmax=1, interpolation="nearest")
+    figure.colorbar(shown, ax=ax, shrink=0.6, label=name)
+    ax.set_aspect("equal")
+    ax.set_title(plot_text(title), fontsize=10, loc="left")
+    ax.set_xlabel("m east")
+    ax.set_ylabel("m north")
+    _add_scale_and_north(ax, extent)
+    return svg_bytes(figure)
+
+
 def round_length_m(most_m: float) -> float:
     """Return the largest of 1, 2, 5, 10, 20, 50 ... metres that is not longer."""
     power = 10.0 ** math.floor(math.log10(most_m))

@@ -1,4 +1,4 @@
-"""Runs a detector on the pictures of a flight, or of any dataset, and writes what it finds as a file and a table."""
+"""Runs a detector on the pictures of a flight, or of any dataset, and writes what it finds."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ from infrablend.formats.pictures.images import load_background
 from infrablend.formats.values import csv_text
 from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
 from infrablend.pipeline.flights.place_settings import DEFAULT_PLACES, PlaceSettings
-from infrablend.pipeline.flights.placed_detections import FlightPlaces, place_flight, write_maps
+from infrablend.pipeline.flights.placed_detections import FlightPlaces, draw_maps, place_flight, write_maps
+from infrablend.report.detections_page import PAGE, detections_page
 
 TABLE = "detections.csv"
 COLUMNS = (
@@ -83,7 +84,7 @@ def detect_objects(
     overwrite: bool = False,
     on_progress: OnProgress | None = None,
 ) -> DetectReport:
-    """Write `predictions.json`, `detections.csv` and `detect.json`.
+    """Write `predictions.json`, `detections.csv`, `report.html` and `detect.json`, and maps if pictures have a pose.
 
     Args:
         detector: Weights, ONNX file, or detections in COCO; or the folder of a training, a `detect` or an evaluation.
@@ -126,17 +127,20 @@ def detect_objects(
         with_some = sum(bool(len(found)) for found in shown.values())
         counts = {name: total[name] for name in predictions.classes if total[name]}
         report = DetectReport(out, len(predictions.images), counts, with_some, tuple(problems))
-        space.finish(
-            {
-                "detector": dict(predictions.facts),
-                "classes": list(predictions.classes),
-                "data": str(dataset.root),
-                "format": dataset.format,
-                "confidence": request.confidence,
-                "places": places.to_json(),
-                **{k: v for k, v in report.to_json().items() if k != "out"},
-            }
-        )
+        facts: dict[str, object] = {
+            "detector": dict(predictions.facts),
+            "classes": list(predictions.classes),
+            "data": str(dataset.root),
+            "data_name": dataset.root.name,
+            "format": dataset.format,
+            "confidence": request.confidence,
+            "places": places.to_json(),
+            **{k: v for k, v in report.to_json().items() if k != "out"},
+        }
+        maps = draw_maps(places.poses, places.placed)
+        page = detections_page(facts, dataset.images, predictions, request.confidence, maps)
+        write_text(space.folder / PAGE, page)
+        space.finish(facts)
     return report
 
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import TypedDict, cast
+
+import numpy as np
 
 from infrablend import __version__
 from infrablend.core.files import write_json, write_text
+from infrablend.core.ground_position import pose_of
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import replacing, workspace
 from infrablend.detection.finder import Finder, load_finder
@@ -17,8 +21,11 @@ from infrablend.detection.training_origin import TrainingOrigin, training_origin
 from infrablend.detection.truth import image_key, match_classes
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.formats.image_groups import group_images
+from infrablend.formats.maps.map_files import write_geojson
+from infrablend.formats.maps.search_sectors import read_sectors
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.compose.memory_frames import Frames, FramesRequest
+from infrablend.pipeline.flights.corrected_counts import LookShares
 from infrablend.pipeline.flights.detectability_figures import (
     FACTS,
     LEAST_COMPARED,
@@ -28,13 +35,23 @@ from infrablend.pipeline.flights.detectability_figures import (
     run_trials,
 )
 from infrablend.pipeline.flights.insert_trials import TrialRules, Trials
+from infrablend.pipeline.flights.search_map import (
+    AreaFigures,
+    SearchMap,
+    area_figures,
+    find_dependence,
+    map_detection,
+    map_features,
+)
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 from infrablend.report.detectability_page import PAGE, detectability_page
+from infrablend.report.flight_map import draw_cells
 
 _SEED = 1_000_003
 """Seed 0 of trials: other objects than those of a run with seed 0, on which a detector may have been trained."""
 _PLANNED_FRAMES = 8
+MAP = "detectability.geojson"
 DEFAULT_DETECTABILITY = DetectabilitySettings()
 
 
@@ -69,6 +86,31 @@ class DetectabilityRequest:
     seed: int = 0
 
 
+class MapFacts(TypedDict):
+    """The map of a flight: its cells, how far looks depend on each other, and the figures of flight and sectors."""
+
+    cell_m: float
+    cells: int
+    rho: float
+    rho_from: str
+    track_m: float
+    sweep_width_m: float | None
+    pictures_without_pose: int
+    areas: list[AreaRow]
+
+
+class AreaRow(TypedDict):
+    """Fields of `search_map.AreaFigures`; a share is None where it is unknown."""
+
+    name: str
+    area_m2: float
+    photographed: float
+    pod: float | None
+    low: float | None
+    high: float | None
+    coverage: float | None
+
+
 class DetectabilityFacts(MeasuredFacts):
     """Content of `detectability.json`.
 
@@ -78,6 +120,7 @@ class DetectabilityFacts(MeasuredFacts):
 
     kind: str
     sentence: str
+    map: MapFacts | None
     recipe: str
     detector: Mapping[str, object]
     trained_on: str
@@ -131,9 +174,14 @@ def measure_detectability(
             if not trials.inserted:
                 raise _nothing_inserted(request, trials)
             problems += trials.unread
+            found = _search_map(request.settings, trials, problems)
+            areas = [] if found is None else _areas(request.settings, found, trials, problems)
             facts = _facts(request, finder, origin, trials, problems)
+        if found is not None:
+            facts["map"] = _map_facts(found, areas)
+            write_geojson(space.folder / MAP, map_features(found))
         write_json(space.folder / FACTS, facts)
-        write_text(space.folder / PAGE, detectability_page(facts))
+        write_text(space.folder / PAGE, detectability_page(facts, _drawn(found)))
         space.finish(facts)
     return DetectabilityReport(out, facts, tuple(problems), time.monotonic() - started)
 
@@ -246,7 +294,65 @@ def _nothing_inserted(request: DetectabilityRequest, trials: Trials) -> DatasetE
     found = f"no object was inserted into any of {len(trials.searched)} pictures ({reasons or 'none asked for'})"
     todo = "look at `infrablend try` of the recipe with one of the pictures"
     problem = Problem(str(request.recipe), "nothing-inserted", found, "objects that can stand in these pictures", todo)
-    return DatasetError(f"{request.data}: nothing to search for", [problem, *trials.unread])
+    skipped = [p for p in trials.frames.problems if p.severity == "error"]
+    return DatasetError(f"{request.data}: nothing to search for", [problem, *skipped, *trials.unread])
+
+
+def _search_map(settings: DetectabilitySettings, trials: Trials, problems: list[Problem]) -> SearchMap | None:
+    """Return the map of the flight; None, with a warning, where no picture has a pose."""
+    images = [picture.image for picture in trials.searched.values()]
+    shares = LookShares(trials.inserted, settings.confidence)
+    dependence = find_dependence(trials.inserted, settings.confidence)
+    found = map_detection(images, shares, dependence, settings.cell_m)
+    if found is None:
+        lacking = sorted({pose for image in images if isinstance(pose := pose_of(image), str)})
+        todo = "give a table of them with --metadata, or take the figures without a map"
+        where = f"{len(images)} pictures"
+        expected = "pictures with a pose, for a map"
+        missing = f"without {'; '.join(lacking) or 'ground in view'}"
+        problems.append(Problem(where, "map-left-out", missing, expected, todo, "warning"))
+        if settings.sectors is not None:
+            raise DatasetError(f"{settings.sectors}: no map to take sectors from", problems[-1:])
+    return found
+
+
+def _areas(
+    settings: DetectabilitySettings, found: SearchMap, trials: Trials, problems: list[Problem]
+) -> list[AreaFigures]:
+    """Return the figures of the flight and of each sector.
+
+    Raises:
+        DatasetError: The sectors cannot be used.
+    """
+    areas = [area_figures(found)]
+    if settings.sectors is not None:
+        captures = [picture.image.capture for picture in trials.searched.values()]
+        places = np.array([place for c in captures if (place := c.place) is not None], np.float64)
+        sectors, elsewhere = read_sectors(settings.sectors, places)
+        problems += elsewhere
+        areas += [area_figures(found, sector) for sector in sectors]
+    return areas
+
+
+def _map_facts(found: SearchMap, areas: Sequence[AreaFigures]) -> MapFacts:
+    rows = [{k: None if v != v else v for k, v in asdict(area).items()} for area in areas]
+    return {
+        "cell_m": found.cell_m,
+        "cells": len(found.pod),
+        "rho": found.dependence.rho,
+        "rho_from": found.dependence.origin,
+        "track_m": found.track_m,
+        "sweep_width_m": found.sweep_width_m,
+        "pictures_without_pose": found.without_pose,
+        "areas": cast("list[AreaRow]", rows),
+    }
+
+
+def _drawn(found: SearchMap | None) -> bytes | None:
+    if found is None:
+        return None
+    at = f"{found.frame.latitude_deg:.5f}, {found.frame.longitude_deg:.5f}"
+    return draw_cells(found.middles_m, found.pod, found.cell_m, "probability of detection", f"origin at {at}")
 
 
 def _facts(
@@ -266,6 +372,7 @@ def _facts(
         **measured,
         "kind": "upper bound" if is_bound else "measured",
         "sentence": sentence(measured, is_bound=is_bound),
+        "map": None,
         "recipe": str(trials.frames.recipe.name),
         "detector": dict(finder.facts),
         "trained_on": trained_on,

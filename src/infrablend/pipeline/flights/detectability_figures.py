@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, TypedDict
 
 import numpy as np
@@ -46,6 +47,8 @@ class DetectabilitySettings:
         most_rounds: Most times that each picture is used, each time with other objects.
         group: Pictures whose results depend on each other: image, sequence, date or gap.
         sizes: Sizes of objects to weight by: those of the labelled objects (real), or of the inserted ones (inserted).
+        sectors: GeoJSON file with the sectors of a search, to give figures for each.
+        cell_m: Side of a cell of the map, metres [default: some 2,500 cells].
 
     Raises:
         ArgumentError: A value is not one of these.
@@ -58,9 +61,13 @@ class DetectabilitySettings:
     most_rounds: int = 10
     group: Literal["image", "sequence", "date", "gap"] = "image"
     sizes: Literal["real", "inserted"] = "real"
+    sectors: Path | None = None
+    cell_m: float | None = None
 
     def __post_init__(self) -> None:
         require_whole("most_rounds", self.most_rounds, 1)
+        if self.cell_m is not None and not 0.01 <= self.cell_m <= 1000:
+            raise ArgumentError(f"cell_m: found {self.cell_m}, expected metres from 0.01 to 1000")
         for name, low, high in (("until", 0.0, 0.5), ("confidence", 0.01, 1.0), ("least_overlap", 0.0, 1.0)):
             value = getattr(self, name)
             if not low < value <= high and not (name == "confidence" and value == low):

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-import cv2
 import numpy as np
 
 from infrablend.core.dataset import ImageRecord
@@ -21,12 +20,19 @@ from infrablend.core.ground_position import LocalFrame, Pose, footprint, ground_
 from infrablend.detection.detections import FloatArray
 from infrablend.detection.recall import Share
 from infrablend.detection.sightings import Sighting
+from infrablend.formats.maps.map_files import MapFeature
+from infrablend.formats.maps.search_sectors import Sector
 from infrablend.pipeline.flights.corrected_counts import LookShares
 from infrablend.pipeline.flights.insert_trials import GROUND_PIXEL_CM, UNKNOWN_TIME, in_range
 
 ASSUMED_RHO = 0.5
 _MOST_CELLS = 2500
 _LEAST_PAIRS = 50
+# Points at which the area of a sector is sampled, at most.
+_MOST_POINTS = 1_000_000
+# A strip ends where the course turns by more, or a step is so many times as long as others.
+_TURN_DEG = 30.0
+_LONG_STEP = 4.0
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,9 @@ class SearchMap:
         high: (n,) its upper end: with the upper ends, and independent looks.
         dependence: Correlation between looks.
         without_pose: Pictures without a pose, which the map leaves out.
+        track_m: Length of the flight's strips.
+        sweep_width_m: Mean sweep width of its strips: the integral of the probability of detection across a strip.
+            None without a strip.
     """
 
     frame: LocalFrame
@@ -67,6 +76,13 @@ class SearchMap:
     high: FloatArray
     dependence: Dependence
     without_pose: int
+    track_m: float
+    sweep_width_m: float | None
+
+    def corners_m(self, k: int) -> FloatArray:
+        """Return the (4, 2) corners of a cell, metres east and north."""
+        half = self.cell_m / 2
+        return np.asarray(self.middles_m[k] + half * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]]))
 
 
 @dataclass(frozen=True)
@@ -74,18 +90,22 @@ class AreaFigures:
     """Figures of an area: the flight, or a sector.
 
     Attributes:
+        name: Its name.
         area_m2: Its area.
         photographed: Share of the area that some picture shows.
         pod: Mean probability of detection over the area, with 0 where no picture was taken.
         low: Its lower end.
         high: Its upper end.
+        coverage: Sweep width times the track length over it, by area; None without a sweep width.
     """
 
+    name: str
     area_m2: float
     photographed: float
     pod: float
     low: float
     high: float
+    coverage: float | None
 
 
 def find_dependence(inserted: Sequence[Sighting], confidence: float) -> Dependence:
@@ -132,22 +152,27 @@ def map_detection(
     side = cell_m or _nice(math.sqrt(float(np.prod(high - low)) / _MOST_CELLS))
     east, north = (np.arange(a + side / 2, b + side / 2, side) for a, b in zip(low, high, strict=True))
     middles = np.stack(np.meshgrid(east, north), axis=-1).reshape(-1, 2)
-    looks: list[list[Share]] = [[] for _ in middles]
-    for (image, pose), outline in zip(posed, outlines, strict=True):
-        for k, share in _looks(image, pose, frame, outline, middles, shares):
-            looks[k].append(share)
+    of_picture = [
+        _looks(image, pose, frame, outline, middles, shares)
+        for (image, pose), outline in zip(posed, outlines, strict=True)
+    ]
+    looks = _by_cell(of_picture, len(middles))
     shown = [k for k, of in enumerate(looks) if of]
-    pods = np.array([_cumulated(looks[k], dependence.rho) for k in shown]).reshape(-1, 3)
+    pod, lower, upper = np.array([_cumulated(looks[k], dependence.rho) for k in shown]).reshape(-1, 3).T
     counts = np.array([len(looks[k]) for k in shown], np.float64)
-    pod, lower, upper = pods.T
+    places = frame.to_metres(*np.array([(p.latitude_deg, p.longitude_deg) for _, p in posed]).T)
+    track_m, width_m = _sweep([i for i, _ in posed], places, of_picture, middles, side, dependence.rho)
     left_out = len(images) - len(posed)
-    return SearchMap(frame, side, middles[shown], counts, pod, lower, upper, dependence, left_out)
+    return SearchMap(frame, side, middles[shown], counts, pod, lower, upper, dependence, left_out, track_m, width_m)
+
+
+Looks = list[tuple[int, Share]]
+"""Number of each cell that a picture shows, and the share found there in one look."""
 
 
 def _looks(
     image: ImageRecord, pose: Pose, frame: LocalFrame, outline: FloatArray, middles: FloatArray, shares: LookShares
-) -> list[tuple[int, Share]]:
-    """Return the cells that a picture shows, and the share found there in one look."""
+) -> Looks:
     if not len(outline):
         return []
     near = np.flatnonzero(((middles >= outline.min(axis=0)) & (middles <= outline.max(axis=0))).all(axis=1))
@@ -162,14 +187,20 @@ def _looks(
     ]
 
 
+def _by_cell(of_picture: Sequence[Looks], cells: int) -> list[list[Share]]:
+    looks: list[list[Share]] = [[] for _ in range(cells)]
+    for seen in of_picture:
+        for k, share in seen:
+            looks[k].append(share)
+    return looks
+
+
 def _cumulated(looks: Sequence[Share], rho: float) -> tuple[float, float, float]:
     """Return the probability of detection over all looks, and its ends; NaN if a share is unknown."""
-    known = [
-        (s.value, s.low, s.high) for s in looks if s.value is not None and s.low is not None and s.high is not None
-    ]
-    if len(known) < len(looks):
+    ends = [(s.value, s.low, s.high) for s in looks if s.value is not None and s.low is not None and s.high is not None]
+    if len(ends) < len(looks):
         return math.nan, math.nan, math.nan
-    value, low, high = np.array(known).T
+    value, low, high = np.array(ends).T
     return cumulate(value, rho), cumulate(low, 1.0), cumulate(high, 0.0)
 
 
@@ -189,37 +220,115 @@ def _nice(side_m: float) -> float:
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= side_m)
 
 
-def whole_figures(found: SearchMap) -> AreaFigures:
-    """Return the figures of what the flight photographed."""
-    known = np.isfinite(found.pod)
-    area = len(found.pod) * found.cell_m**2
-    mean = [float(v[known].mean()) if known.any() else math.nan for v in (found.pod, found.low, found.high)]
-    return AreaFigures(area, 1.0, *mean)
-
-
-def sector_figures(found: SearchMap, rings_m: Sequence[FloatArray]) -> AreaFigures:
-    """Return the figures of a sector; cells that no picture shows count 0.
+def find_strips(images: Sequence[ImageRecord], places_m: FloatArray) -> list[list[int]]:
+    """Return the numbers of the pictures of each straight strip, in the order of the flight, two or more each.
 
     Args:
-        found: The map.
-        rings_m: Its outer ring and any holes, each (k, 2) metres east and north of the map's frame.
+        images: Pictures, in any order.
+        places_m: (n, 2) their places, metres east and north.
     """
-    area = _area(rings_m[0]) - sum(_area(ring) for ring in rings_m[1:])
-    inside = np.array([_is_inside(rings_m, middle) for middle in found.middles_m], np.bool_)
-    inside &= np.isfinite(found.pod)
-    cell = found.cell_m**2
-    # Cells at the border are counted by their middles, so that the sum may exceed the area by a few of them.
-    share = min(1.0, float(inside.sum()) * cell / area)
-    means = [float(v[inside].mean()) * share if inside.any() else 0.0 for v in (found.pod, found.low, found.high)]
-    return AreaFigures(area, share, *means)
+    order = sorted(range(len(images)), key=lambda k: _moment(images[k]))
+    steps = np.diff(places_m[order], axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    usual = float(np.median(lengths[lengths > 0])) if (lengths > 0).any() else 0.0
+    strips: list[list[int]] = []
+    course: FloatArray | None = None
+    for step, length, start, end in zip(steps, lengths, order, order[1:], strict=False):
+        if not 0 < length <= _LONG_STEP * usual:
+            course = None
+            continue
+        goes_on = course is not None and float(step @ course) >= length * math.cos(math.radians(_TURN_DEG))
+        if goes_on:
+            strips[-1].append(end)
+        else:
+            strips.append([start, end])
+        course = step / length
+    return strips
 
 
-def _is_inside(rings_m: Sequence[FloatArray], place_m: FloatArray) -> bool:
-    point = (float(place_m[0]), float(place_m[1]))
-    hits = [cv2.pointPolygonTest(ring.astype(np.float32), point, False) >= 0 for ring in rings_m]
-    return hits[0] and not any(hits[1:])
+def _moment(image: ImageRecord) -> tuple[str, str, float, str]:
+    c = image.capture
+    return c.sequence or "", c.captured or "", float(c.frame or 0), image.name
 
 
-def _area(ring_m: FloatArray) -> float:
-    x, y = ring_m.T
-    return abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))) / 2
+def _sweep(
+    images: Sequence[ImageRecord], places_m: FloatArray, of_picture: Sequence[Looks], middles: FloatArray,
+    cell_m: float, rho: float,
+) -> tuple[float, float | None]:  # fmt: skip
+    """Return the length of all strips, and their mean sweep width weighted by length.
+
+    The sweep width of a strip is the integral of the probability of detection across it: the sum over the cells beside
+    its track, by area, over its length.
+    """
+    track_m = 0.0
+    swept_m2 = 0.0
+    for strip in find_strips(images, places_m):
+        start, end = places_m[strip[0]], places_m[strip[-1]]
+        length = float(np.linalg.norm(end - start))
+        along = (middles - start) @ ((end - start) / length)
+        looks = _by_cell([of_picture[k] for k in strip], len(middles))
+        pods = [_cumulated(of, rho)[0] for of, at in zip(looks, along, strict=True) if of and 0 <= at < length]
+        swept_m2 += float(np.nansum(pods)) * cell_m**2
+        track_m += length
+    return track_m, swept_m2 / track_m if track_m else None
+
+
+def area_figures(found: SearchMap, sector: Sector | None = None) -> AreaFigures:
+    """Return the figures of a sector, in which cells that no picture shows count 0; by default of the whole map.
+
+    Cells whose share is unknown are left out of a mean of the whole map, and count 0 in a sector.
+    """
+    values = np.stack([found.pod, found.low, found.high])
+    known = np.isfinite(found.pod)
+    if sector is None:
+        area = len(found.pod) * found.cell_m**2
+        pod, lower, upper = values[:, known].mean(axis=1) if known.any() else np.full(3, math.nan)
+        return AreaFigures("flight", area, 1.0, float(pod), float(lower), float(upper), _coverage(found, area))
+    rings = [found.frame.to_metres(*ring.T) for ring in sector.rings]
+    corners = np.concatenate(rings)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    # Points lie on the middles of cells, so that each is in one cell or in none.
+    first = found.middles_m[0] if len(found.middles_m) else low
+    stride = max(1, math.ceil(math.sqrt(float(np.prod((high - low) / found.cell_m)) / _MOST_POINTS)))
+    start, stop = np.floor((low - first) / found.cell_m), np.ceil((high - first) / found.cell_m)
+    columns, rows = (np.arange(a, b + 1, stride) for a, b in zip(start, stop, strict=True))
+    cells = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    degrees = found.frame.to_degrees(*(first + cells * found.cell_m).T)
+    inside = cells[sector.contains(degrees)].astype(np.int64)
+    places = np.rint((found.middles_m - first) / found.cell_m).astype(np.int64)
+    number = {tuple(place): k for k, place in enumerate(places.tolist()) if known[k]}
+    hits = [number[key] for place in inside.tolist() if (key := tuple(place)) in number]
+    count = max(len(inside), 1)
+    area = len(inside) * (stride * found.cell_m) ** 2
+    pod, lower, upper = values[:, hits].sum(axis=1) / count
+    photographed = len(hits) / count
+    return AreaFigures(sector.name, area, photographed, float(pod), float(lower), float(upper), _coverage(found, area))
+
+
+def _coverage(found: SearchMap, area_m2: float) -> float | None:
+    return None if found.sweep_width_m is None or not area_m2 else found.sweep_width_m * found.track_m / area_m2
+
+
+def map_features(found: SearchMap) -> list[MapFeature]:
+    """Return the cells as areas of a map; `pod` is null where no share is known."""
+    features = []
+    for k in range(len(found.middles_m)):
+        pod = float(found.pod[k])
+        known = math.isfinite(pod)
+        facts: dict[str, object] = {"pod": None, "low": None, "high": None}
+        if known:
+            facts = {"pod": round(pod, 4), "low": round(float(found.low[k]), 4), "high": round(float(found.high[k]), 4)}
+        title = f"POD {pod:.2f}" if known else "POD unknown"
+        outline = found.frame.to_degrees(*found.corners_m(k).T)
+        looks = int(found.looks[k])
+        features.append(
+            MapFeature(f"cell {k}", title, f"{looks} looks", outline, _shade(pod), {**facts, "looks": looks})
+        )
+    return features
+
+
+def _shade(pod: float) -> str:
+    """Return a colour from red for 0 to green for 1; grey for unknown."""
+    if not math.isfinite(pod):
+        return "#999999"
+    return f"#{round(200 * (1 - pod)):02x}{round(180 * pod):02x}40"
