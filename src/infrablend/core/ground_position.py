@@ -163,6 +163,8 @@ def pose_of(image: ImageRecord, errors: PoseErrors | None = None) -> Pose | str:
     yaw_deg = c.flight_yaw_deg if c.yaw_deg is None else c.yaw_deg
     if yaw_deg is None:
         missing.append("yaw_deg")
+    if c.altitude_m == 0:
+        missing.append("altitude_m above 0")
     if image.size_wh is None:
         missing.append("size of the picture")
     if missing:
