@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pymap3d
@@ -22,6 +22,7 @@ import pymap3d
 from infrablend.core.camera import STRAIGHT_DOWN_DEG
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.mesh import FloatArray
+from infrablend.errors import ArgumentError
 
 LEAST_DEPRESSION_DEG = 15.0
 """Rays less steep than this reach no ground: at most 3.7 heights away."""
@@ -49,15 +50,23 @@ class PoseErrors:
         roll_deg: Of the roll, and of the tilt sideways, which no stated angle holds for a camera that looks down.
         hfov_share: Of the field of view, as a share of it.
         pixel_px: Of a detection's place in the picture, in x and in y.
+
+    Raises:
+        ArgumentError: An error is below 0, or no number.
     """
 
-    position_m: float | None = field(default=None, metadata={"low": 0.0})
-    height_m: float | None = field(default=None, metadata={"low": 0.0})
-    yaw_deg: float | None = field(default=None, metadata={"low": 0.0})
-    pitch_deg: float | None = field(default=None, metadata={"low": 0.0})
-    roll_deg: float | None = field(default=None, metadata={"low": 0.0})
-    hfov_share: float | None = field(default=None, metadata={"low": 0.0})
-    pixel_px: float | None = field(default=None, metadata={"low": 0.0})
+    position_m: float | None = None
+    height_m: float | None = None
+    yaw_deg: float | None = None
+    pitch_deg: float | None = None
+    roll_deg: float | None = None
+    hfov_share: float | None = None
+    pixel_px: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and not 0 <= value < math.inf:
+                raise ArgumentError(f"errors: found {name} {value:g}, expected 0 or more")
 
 
 @dataclass(frozen=True)
@@ -154,6 +163,8 @@ def pose_of(image: ImageRecord, errors: PoseErrors | None = None) -> Pose | str:
     yaw_deg = c.flight_yaw_deg if c.yaw_deg is None else c.yaw_deg
     if yaw_deg is None:
         missing.append("yaw_deg")
+    if c.altitude_m == 0:
+        missing.append("altitude_m above 0")
     if image.size_wh is None:
         missing.append("size of the picture")
     if missing:
@@ -238,10 +249,14 @@ def ground_pixel_m(pose: Pose, xy: FloatArray) -> FloatArray:
 
     Along the line of sight, a pixel covers more ground than that by the sine of the ray's depression.
     """
-    at_origin = LocalFrame(pose.latitude_deg, pose.longitude_deg)
-    rays = _directions(_vector(pose, at_origin), pose.size_wh, xy)
+    rays = rays_of_pixels(pose, xy)
     with np.errstate(divide="ignore"):
         return np.asarray(pose.height_m / -rays[:, 2] / pose.focal_px * _reaching(rays))
+
+
+def rays_of_pixels(pose: Pose, xy: FloatArray) -> FloatArray:
+    """Return (n, 3) east, north and up along the rays of (n, 2) pixels, as far as a depth of 1."""
+    return _directions(_vector(pose, LocalFrame(pose.latitude_deg, pose.longitude_deg)), pose.size_wh, xy)
 
 
 def position_covariance(pose: Pose, frame: LocalFrame, xy: FloatArray) -> FloatArray:

@@ -63,7 +63,9 @@ class Finder:
         """
         if pixels.dtype != np.uint8:
             pixels = (self.agc or DEFAULT_AGC).apply(np.asarray(pixels, np.uint16), scale)
-        return self.find_levels(np.asarray(pixels, np.uint8), confidence)
+        found = self.find_levels(np.asarray(pixels, np.uint8), confidence)
+        # What lies in the grey border alone has nothing in the picture.
+        return found.take(np.flatnonzero((found.boxes_xyxy[:, 2:] > found.boxes_xyxy[:, :2]).all(axis=1)))
 
 
 def load_finder(

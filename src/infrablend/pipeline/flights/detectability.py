@@ -294,7 +294,8 @@ def _nothing_inserted(request: DetectabilityRequest, trials: Trials) -> DatasetE
     found = f"no object was inserted into any of {len(trials.searched)} pictures ({reasons or 'none asked for'})"
     todo = "look at `infrablend try` of the recipe with one of the pictures"
     problem = Problem(str(request.recipe), "nothing-inserted", found, "objects that can stand in these pictures", todo)
-    return DatasetError(f"{request.data}: nothing to search for", [problem, *trials.unread])
+    skipped = [p for p in trials.frames.problems if p.severity == "error"]
+    return DatasetError(f"{request.data}: nothing to search for", [problem, *skipped, *trials.unread])
 
 
 def _search_map(settings: DetectabilitySettings, trials: Trials, problems: list[Problem]) -> SearchMap | None:
