@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from infrablend.core.camera import STRAIGHT_DOWN_DEG
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.ground_position import LocalFrame
 from infrablend.imaging.overlap import (
@@ -46,64 +47,62 @@ def glance_at_overlap(images: Sequence[ImageRecord]) -> list[OverlapValue] | str
     placed = [i for i in images if i.capture.place is not None and i.size_wh is not None]
     if len(placed) < _LEAST:
         return None
-    known = [i for i in placed if place_of(i, i.capture.yaw_deg) is not None and i.size_wh == placed[0].size_wh]
+    known = [i for i in placed if _looks_down(i.capture) and i.size_wh == placed[0].size_wh]
     if len(known) < _LEAST:
         down = f"look straight down to {MOST_TILT_DEG:g} degrees, and state their yaw"
         return f"{len(known)} of {len(placed)} pictures with a position {down}, where yaw and lens follow from overlap"
     chosen = _rows(known)
-    places, links = link_pictures(chosen, _PAIRS)
-    assert known[0].size_wh is not None
-    found = fit_overlap(places, links, known[0].size_wh)
+    places = _places(chosen)
+    links = link_pictures(chosen, places, chosen[0].capture.hfov_deg, _PAIRS)
+    assert chosen[0].size_wh is not None
+    found = fit_overlap(places, links, chosen[0].size_wh)
     return found if isinstance(found, str) else offered_values(found, chosen)
 
 
-def place_of(image: ImageRecord, yaw_deg: float | None) -> Place | None:
-    """Return what a picture that looks straight down states, in metres of its own place; None for other pictures."""
-    c = image.capture
-    if c.place is None or c.pitch_deg is None or yaw_deg is None:
-        return None
-    tilt = STRAIGHT_DOWN_DEG - c.pitch_deg
-    if abs(tilt) > MOST_TILT_DEG:
-        return None
-    # Straight down, a roll only turns the picture. Without a height, metres are those of one metre.
-    return Place(0.0, 0.0, yaw_deg + (c.roll_deg or 0.0), c.altitude_m or 1.0, tilt)
+def _looks_down(c: Capture) -> bool:
+    return c.yaw_deg is not None and c.pitch_deg is not None and abs(STRAIGHT_DOWN_DEG - c.pitch_deg) <= MOST_TILT_DEG
 
 
-def link_pictures(images: Sequence[ImageRecord], most: int | None = None) -> tuple[list[Place], list[Link]]:
-    """Return what pictures that look straight down state, and the movements between neighbours.
+def link_pictures(
+    images: Sequence[ImageRecord], places: Sequence[Place], hfov_deg: float | None, most: int | None = None
+) -> list[Link]:
+    """Return the movements between pictures that show much of the same ground.
 
     Args:
-        images: Pictures for which there is a `place_of`.
+        images: Pictures of one size; those that cannot be read show nothing.
+        places: What is stated of each.
+        hfov_deg: Their field of view, if it is known.
         most: Number of pairs that are compared; None for some for each picture.
     """
-    places = _in_metres(images)
     size_wh = images[0].size_wh
     assert size_wh is not None
-    pairs = list(neighbours(places, size_wh, images[0].capture.hfov_deg))[: most or _PAIRS_EACH * len(images)]
+    pairs = list(neighbours(places, size_wh, hfov_deg))[: most or _PAIRS_EACH * len(images)]
     numbered = [replace(i, capture=replace(i.capture, frame=k)) for k, i in enumerate(images)]
     looks = [Look(view) for view in sequence_views(numbered)]
-    return places, [link for a, b in pairs if (link := find_link(a, b, looks)) is not None]
+    return [link for a, b in pairs if (link := find_link(a, b, looks)) is not None]
 
 
-def _in_metres(images: Sequence[ImageRecord]) -> list[Place]:
-    """Return the places of pictures in metres of the first one."""
-    origin = images[0].capture.place
+def _places(images: Sequence[ImageRecord]) -> list[Place]:
+    """Return what pictures state that look straight down; without all heights, metres are those of one metre."""
+    captures = [i.capture for i in images]
+    without = any(c.altitude_m is None for c in captures)
+    origin = captures[0].place
     assert origin is not None
     frame = LocalFrame(*origin)
-    without = any(i.capture.altitude_m is None for i in images)
     found = []
-    for image in images:
-        at, place = image.capture.place, place_of(image, image.capture.yaw_deg)
-        assert at is not None and place is not None
-        east, north = frame.to_metres(*at).tolist()
-        found.append(replace(place, east_m=east, north_m=north, height_m=1.0 if without else place.height_m))
+    for c in captures:
+        assert c.place is not None and c.pitch_deg is not None and c.yaw_deg is not None
+        east, north = frame.to_metres(*c.place).tolist()
+        height = 1.0 if without or c.altitude_m is None else c.altitude_m
+        # Straight down, a roll only turns the picture.
+        found.append(Place(east, north, c.yaw_deg + (c.roll_deg or 0.0), height, STRAIGHT_DOWN_DEG - c.pitch_deg))
     return found
 
 
 def _rows(images: Sequence[ImageRecord]) -> list[ImageRecord]:
     """Return some pictures: rows of such as follow each other at some distance, spread over the flight."""
     ordered = sorted(images, key=lambda i: (i.capture.sequence or "", i.capture.frame or 0, i.id))
-    places = _in_metres(ordered)
+    places = _places(ordered)
     assert ordered[0].size_wh is not None
     side = shorter_side(ordered[0].size_wh, ordered[0].capture.hfov_deg)
     kept = [0]
