@@ -20,23 +20,22 @@ _NOT_COUNTED: Mapping[str, str] = {
 
 def recall_table(rows: Iterable[Mapping[str, Any]], names: Sequence[str], title: str) -> Table:
     """Return shares of inserted and real objects found; `names` are the fields that name a row."""
-    head = [*names, "inserted", "found", "95 %", "real", "found", "95 %", "difference", "95 %"]
+    rows = list(rows)
+    head = [*names, "inserted", "found", "95 %"]
+    with_real = any("actual" in row for row in rows)
+    if with_real:
+        head += ["real", "found", "95 %", "difference", "95 %"]
     lines = []
     for row in rows:
-        apart = row.get("difference")
-        lines.append(
-            [
-                *(str(row[name]) for name in names),
-                str(row["inserted"]),
-                decimals(row["predicted"]),
-                interval((row["low"], row["high"])),
-                str(row.get("real", "")),
-                decimals(row["actual"]) if "actual" in row else "",
-                interval((row["actual_low"], row["actual_high"])) if "actual" in row else "",
-                f"{apart[0]:+.3f}" if apart else "",
-                interval(apart[1:], signed=True) if apart else "",
-            ]
-        )
+        line = [*(str(row[name]) for name in names), str(row["inserted"])]
+        line += [decimals(row["predicted"]), interval((row["low"], row["high"]))]
+        if "actual" in row:
+            line += [str(row["real"]), decimals(row["actual"]), interval((row["actual_low"], row["actual_high"]))]
+            apart = row.get("difference")
+            line += [f"{apart[0]:+.3f}", interval(apart[1:], signed=True)] if apart else ["", ""]
+        elif with_real:
+            line += [""] * 5
+        lines.append(line)
     return Table(head, lines, title)
 
 

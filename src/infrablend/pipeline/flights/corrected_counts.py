@@ -57,6 +57,10 @@ class LookShares:
         found = self._shares.get(key, NONE)
         return found if found.effective >= _LEAST_EFFECTIVE else self._whole
 
+    def all(self) -> list[Share]:
+        """Return the shares of all looks and of those under each condition with enough inserted objects."""
+        return [self._whole, *(s for s in self._shares.values() if s.effective >= _LEAST_EFFECTIVE)]
+
 
 def look_key(conditions: Mapping[str, str]) -> LookKey:
     """Return the key of a look from its conditions."""
@@ -96,6 +100,10 @@ def count_looks(trials: Trials, confidence: float, *, labelled: bool) -> CountFa
             return facts
         estimate += count / share.value
         variance += count * (1 - share.value) / share.value**2 + (count / share.value**2) ** 2 * share.variance
+    if not detections:
+        # Of a number that is found to be 0, the score interval of a Poisson count ends at the squared quantile.
+        least = min(share.low or 0.0 for share in shares.all())
+        return {**facts, "corrected": 0.0, "low": 0.0, "high": Z95**2 / least if least else None}
     half = Z95 * math.sqrt(variance)
     return {
         **facts,

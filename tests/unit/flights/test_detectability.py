@@ -1,0 +1,151 @@
+"""`detectability` on made-up pictures, with detectors whose share found is known."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from infrablend import api
+from infrablend.detection.detections import Detections, detections
+from infrablend.errors import DatasetError, ModelError
+from infrablend.pipeline.flights import detectability as module
+from tests.command_line import said
+
+FLAT = api.Execution(renderer="flat", in_process=True)
+WARM_GREY = 200
+
+
+class WarmThings:
+    """A detector of warm, connected pixels, which misses a share of them by their place."""
+
+    classes = ("drone", "Car")
+    problems = ()
+    facts: dict[str, object] = {"weights": "warm"}
+
+    def __init__(self, missed: float = 0.0, alarms: int = 0) -> None:
+        self.missed = missed
+        self.alarms = alarms
+
+    def find(self, pixels: np.ndarray, confidence: float = 0.01, scale: Any = None) -> Detections:
+        import cv2
+
+        _, _, stats, middles = cv2.connectedComponentsWithStats((pixels > WARM_GREY).astype(np.uint8))
+        boxes = [[x, y, x + w, y + h] for x, y, w, h, n in stats[1:] if n >= 4]
+        hash_ = [(int(x) * 7 + int(y) * 13) % 100 for x, y in middles[1:][[n >= 4 for *_, n in stats[1:]]]]
+        kept = [b for b, h in zip(boxes, hash_, strict=True) if h >= 100 * self.missed]
+        kept += [[600.0 - 12 * k, 4, 610.0 - 12 * k, 14] for k in range(self.alarms)]
+        return detections(kept, [0.9] * len(kept), [0] * len(kept))
+
+
+@pytest.fixture
+def flight(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> Path:
+    return write_tiny_hit_uav(tmp_path / "hit-uav")
+
+
+@pytest.fixture
+def measure(flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., api.DetectabilityReport]:
+    def run(finder: Any, **settings: Any) -> api.DetectabilityReport:
+        monkeypatch.setattr(module, "load_finder", lambda *_, **__: finder)
+        monkeypatch.setattr("infrablend.pipeline.flights.detectability_figures._FIRST", 10)
+        rules = api.DetectabilitySettings(**{"until": 0.15, "most_rounds": 8, **settings})
+        recipe = {"appearance.mode": "artistic"}
+        request = api.DetectabilityRequest(
+            "hit-uav-drone", tmp_path / "detector", flight, rules, recipe_settings=recipe, execution=FLAT
+        )
+        return api.detectability(request, tmp_path / "out", overwrite=True)
+
+    return run
+
+
+def test_a_detector_of_everything_finds_what_it_can_see(measure: Callable[..., api.DetectabilityReport]) -> None:
+    facts = measure(WarmThings()).facts
+    recall = facts["recall"]
+    assert recall["inserted"] >= 10
+    assert 0 < recall["low"] <= recall["predicted"] <= recall["high"] <= 1
+    assert facts["confidences"][0]["alarms_per_picture"] == 0
+    assert "real" not in recall
+
+
+def test_missed_objects_lower_the_share_and_alarms_are_counted(measure: Callable[..., Any]) -> None:
+    whole = measure(WarmThings(), until=0.05).facts
+    half = measure(WarmThings(missed=0.5, alarms=2), until=0.05).facts
+    assert half["recall"]["predicted"] == pytest.approx(whole["recall"]["predicted"] / 2, abs=0.15)
+    assert half["confidences"][0]["alarms_per_picture"] == 2
+
+
+def test_the_same_request_gives_the_same_bytes(measure: Callable[..., Any], tmp_path: Path) -> None:
+    measure(WarmThings(0.3))
+    files = ("detectability.json", "detectability.html")
+    first = [(tmp_path / "out" / f).read_bytes() for f in files]
+    measure(WarmThings(0.3))
+    assert [(tmp_path / "out" / f).read_bytes() for f in files] == first
+
+
+def test_the_record_has_recall_and_cells(measure: Callable[..., Any], tmp_path: Path) -> None:
+    measure(WarmThings())
+    facts = json.loads((tmp_path / "out" / "detectability.json").read_text())
+    assert {"predicted", "low", "high", "inserted"} <= set(facts["recall"])
+    assert all({"by", "value", "predicted", "low", "high", "inserted"} <= set(cell) for cell in facts["cells"])
+    assert facts["kind"] == "measured"
+    assert facts["map"] is None
+    assert any(p["code"] == "map-left-out" for p in facts["problems"])
+    assert facts["sentence"].startswith("In these pictures, a drone would be found with ")
+
+
+def test_a_detector_without_the_class_is_refused(measure: Callable[..., Any]) -> None:
+    finder = WarmThings()
+    finder.classes = ("Car",)
+    with pytest.raises(ModelError) as error:
+        measure(finder)
+    assert error.value.problems[0].code == "class-absent"
+
+
+def test_a_class_that_the_recipe_does_not_insert_is_refused(measure: Callable[..., Any]) -> None:
+    with pytest.raises(ModelError, match="inserts no Car"):
+        measure(WarmThings(), category="Car")
+
+
+def test_a_detector_of_inserted_objects_gives_an_upper_bound(
+    measure: Callable[..., Any], flight: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "detector").mkdir()
+    record = {"data": str(flight), "prepared": {"labels": 50, "losses": {"inserted_dropped": 50}}}
+    (tmp_path / "detector" / "train.json").write_text(json.dumps(record))
+    facts = measure(WarmThings()).facts
+    assert facts["kind"] == "upper bound"
+    assert "at most" in facts["sentence"]
+    assert {p["code"] for p in facts["problems"]} >= {"trained-on", "trained-on-inserts"}
+
+
+def test_where_nothing_can_stand_nothing_is_written(measure: Callable[..., Any], tmp_path: Path) -> None:
+    with pytest.raises(DatasetError) as error:
+        measure(SimpleNamespace(classes=("drone",), problems=(), facts={}, find=_sees_all))
+    assert error.value.problems[0].code == "nothing-inserted"
+    assert not (tmp_path / "out").exists()
+
+
+def _sees_all(pixels: np.ndarray, *_: Any) -> Detections:
+    """Report a detection on every place of a picture, so that no inserted object is a trial."""
+    side = 40
+    boxes = [[x, y, x + side, y + side] for y in range(0, 512, 4) for x in range(0, 640, 4)]
+    return detections(boxes, [0.9] * len(boxes), [0] * len(boxes))
+
+
+def test_wrong_settings_are_refused() -> None:
+    with pytest.raises(ValueError, match="until"):
+        api.DetectabilitySettings(until=0.0)
+    with pytest.raises(ValueError, match="confidence"):
+        api.DetectabilitySettings(confidence=1.5)
+    with pytest.raises(ValueError, match="cell_m"):
+        api.DetectabilitySettings(cell_m=0.0)
+
+
+def test_the_command_names_a_missing_detector(flight: Path, tmp_path: Path) -> None:
+    words = ("detectability", "hit-uav-drone", tmp_path / "none.pt", flight, "--out", tmp_path / "out")
+    assert "none.pt" in said(*words, code=2)
