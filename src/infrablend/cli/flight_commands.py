@@ -87,6 +87,7 @@ def detect(
         "pictures searched": str(report.pictures),
         f"pictures with detections from {request.confidence:g}": str(report.with_some),
         **{name: str(n) for name, n in report.found.items()},
+        "detections with a place on the ground": str(report.placed),
     }
     show_report(session, report, out / "detect.json", report.to_json(), lambda: f"{table(rows)}\n{out / 'report.html'}")
 

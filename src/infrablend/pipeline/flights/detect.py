@@ -49,6 +49,7 @@ class DetectReport:
         pictures: Number of pictures that were searched.
         found: Number of detections from the confidence on, by class.
         with_some: Number of pictures with such a detection.
+        placed: Number of these detections that have a place on the ground.
         problems: Pictures that were not searched, each with its reason, and warnings.
     """
 
@@ -56,6 +57,7 @@ class DetectReport:
     pictures: int
     found: Mapping[str, int]
     with_some: int
+    placed: int
     problems: tuple[Problem, ...] = field(default=())
 
     @property
@@ -70,6 +72,7 @@ class DetectReport:
             "pictures": self.pictures,
             "found": dict(self.found),
             "with_some": self.with_some,
+            "placed": self.placed,
             "problems": [p.to_json() for p in self.problems],
         }
 
@@ -117,16 +120,17 @@ def detect_objects(
             raise DatasetError(f"{dataset.root}: no picture can be searched", problems)
         shown = {key: at_least(found, request.confidence) for key, found in predictions.images.items()}
         total = Counter(predictions.classes[k] for found in shown.values() for k in found.classes.tolist())
-        searched = [i for i in dataset.images if image_key(i) in shown]
+        sizes = predictions.sizes_wh
+        searched = [replace(i, size_wh=sizes[image_key(i)]) for i in dataset.images if image_key(i) in shown]
         places = place_flight(dataset.root.name, searched, replace(predictions, images=shown), settings)
-        problems += (*_remarks(predictions, total, request.confidence), *places.problems)
+        problems += (*places.problems, *_remarks(predictions, total, request.confidence))
         write_predictions(space.folder / PREDICTIONS, predictions)
         write_text(space.folder / TABLE, _table(searched, shown, predictions.classes, places))
         if places.poses.known:
             write_maps(space.folder, places.poses, places.placed)
         with_some = sum(bool(len(found)) for found in shown.values())
         counts = {name: total[name] for name in predictions.classes if total[name]}
-        report = DetectReport(out, len(predictions.images), counts, with_some, tuple(problems))
+        report = DetectReport(out, len(predictions.images), counts, with_some, len(places.placed), tuple(problems))
         facts: dict[str, object] = {
             "detector": dict(predictions.facts),
             "classes": list(predictions.classes),
