@@ -35,7 +35,9 @@ def detect(
     which need `infrablend[train]`; or detections in COCO, such as the predictions.json of an earlier call.
     """
     dataset = read_dataset(data, reading)
-    return detect_objects(Path(detector), dataset, Path(out), request, overwrite=overwrite, on_progress=on_progress)
+    return detect_objects(
+        Path(detector), dataset, Path(out), request, reading=reading, overwrite=overwrite, on_progress=on_progress
+    )
 
 
 def detectability(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
 from infrablend.core.output_checks import require_apart
 from infrablend.core.tasks import OnProgress, paced
@@ -27,6 +28,7 @@ from infrablend.detection.finder import CONFIDENCE, Finder, load_finder
 from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures.images import load_background
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.values import csv_text
 from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
 from infrablend.report.detections_page import PAGE, detections_page
@@ -78,6 +80,7 @@ def detect_objects(
     out: Path,
     request: DetectRequest = DEFAULT_DETECT,
     *,
+    reading: Reading = READ_ALL,
     overwrite: bool = False,
     on_progress: OnProgress | None = None,
 ) -> DetectReport:
@@ -88,6 +91,7 @@ def detect_objects(
         dataset: The pictures.
         out: Folder to write.
         request: How to detect.
+        reading: How the pictures were read, for those who look at the detections later.
         overwrite: Whether to replace earlier detections in `out`.
         on_progress: Called with the number of pictures searched so far.
 
@@ -122,7 +126,8 @@ def detect_objects(
         facts: dict[str, object] = {
             "detector": dict(predictions.facts),
             "classes": list(predictions.classes),
-            "data": str(dataset.root),
+            "data": str(real_path(dataset.root)),
+            "reading": asdict(reading) | {"metadata": reading.metadata and str(real_path(Path(reading.metadata)))},
             "data_name": dataset.root.name,
             "format": dataset.format,
             "confidence": request.confidence,
