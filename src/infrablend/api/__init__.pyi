@@ -99,6 +99,8 @@ from infrablend.pipeline.compose.extensions import (
 )
 from infrablend.pipeline.flights.detect import DetectReport as DetectReport
 from infrablend.pipeline.flights.detect_request import DetectRequest as DetectRequest
+from infrablend.core.ground_position import PoseErrors as PoseErrors
+from infrablend.pipeline.flights.place_settings import PlaceSettings as PlaceSettings
 from infrablend.pipeline.extraction.clips import FrameChoice as FrameChoice
 from infrablend.pipeline.extraction.clips import FlightFacts as FlightFacts
 from infrablend.pipeline.plans.selection import FrameSelection as FrameSelection

@@ -17,6 +17,7 @@ from infrablend.pipeline.flights.detectability import (
     measure_detectability,
 )
 from infrablend.pipeline.flights.detectability import plan_detectability as plan_request
+from infrablend.pipeline.flights.place_settings import DEFAULT_PLACES, PlaceSettings
 
 
 def detect(
@@ -24,6 +25,7 @@ def detect(
     data: str | Path,
     out: str | Path,
     request: DetectRequest = DEFAULT_DETECT,
+    places: PlaceSettings = DEFAULT_PLACES,
     *,
     reading: Reading = READ_ALL,
     overwrite: bool = False,
@@ -32,12 +34,14 @@ def detect(
     """Find objects in the pictures of a dataset, a folder off the card or a video; write detections and a table.
 
     `detector` is an ONNX file, which needs `infrablend[onnx]`; weights of Ultralytics (.pt) or the folder of `train`,
-    which need `infrablend[train]`; or detections in COCO, such as the predictions.json of an earlier call.
+    which need `infrablend[train]`; or detections in COCO, such as the predictions.json of an earlier call. Where
+    pictures state their position, height, angles and lens, detections get a place each, and maps are written.
     """
     dataset = read_dataset(data, reading)
     return detect_objects(
-        Path(detector), dataset, Path(out), request, reading=reading, overwrite=overwrite, on_progress=on_progress
-    )
+        Path(detector), dataset, Path(out), request, places,
+        reading=reading, overwrite=overwrite, on_progress=on_progress,
+    )  # fmt: skip
 
 
 def detectability(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,6 +37,7 @@ from infrablend.cli.output import (
 from infrablend.errors import format_problems
 
 if TYPE_CHECKING:
+    from infrablend.imaging.overlap import OverlapValue
     from infrablend.pipeline.datasets.requests import SelectionFacts
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
@@ -84,6 +85,8 @@ def _contents(found: Inspection) -> list[str]:
     blocks.append(table(_further(found)))
     if "flight" in found.notes:
         blocks.append(_flight(found.notes["flight"]))
+    if found.overlap is not None:
+        blocks.append(_overlap(found.overlap))
     if found.leakage:
         lines = [
             f"  {one.near} of {one.images} {one.split} images have a {one.other} image at most {one.distance} frame "
@@ -94,6 +97,23 @@ def _contents(found: Inspection) -> list[str]:
     if found.remarks:
         blocks.append("\n".join(["known faults of this dataset", *(f"  - {r}" for r in found.remarks)]))
     return [*blocks, _problem_list(found)]
+
+
+def _overlap(found: Sequence[OverlapValue] | str) -> str:
+    if isinstance(found, str):
+        return f"from overlap: nothing, as {found}"
+    rows = [
+        [
+            v["name"],
+            _value(v["value"]),
+            f"{_value(v['low'])} to {_value(v['high'])}",
+            "" if v["stated"] is None else _value(v["stated"]),
+            "contradicts" if v["contradicts"] else "",
+        ]
+        for v in found
+    ]
+    shown = grid(["from overlap", "value", "95 %", "stated", ""], rows)
+    return f"{shown}\n({found[0]['source']}; --metadata FILE sets the values of pictures)"
 
 
 def _flight(note: Mapping[str, Any]) -> str:

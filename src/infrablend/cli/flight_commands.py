@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,12 +18,33 @@ from infrablend.cli.options import (
     SeedOption,
     SettingsOption,
     comma_list,
+    key_values,
+    split_at_commas,
 )
 from infrablend.cli.output import print_problems, show_report, show_result, shown_progress, table
 from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
     from infrablend.pipeline.flights.detectability import DetectabilityFacts, DetectabilityPlan
+
+
+def _pose_errors(texts: list[str] | None) -> api.PoseErrors:
+    """Return standard errors from texts such as `position=3,yaw=1`; units may be written, as in `position_m=3`."""
+    names = {name: f.name for f in fields(api.PoseErrors) for name in (f.name, f.name.rpartition("_")[0])}
+    found = key_values([pair for text in texts or () for pair in split_at_commas(text)], "--errors")
+    try:
+        return api.PoseErrors(**{names[name]: float(text) for name, text in found.items()})
+    except (KeyError, ValueError) as error:
+        known = ", ".join(sorted(n for n in names if names[n] != n))
+        raise typer.BadParameter(f"{error}; write NAME=NUMBER with {known}", param_hint="--errors") from error
+
+
+def _take_off(text: str) -> tuple[float, float]:
+    try:
+        latitude, longitude = map(float, text.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(f"{text!r}; write LAT,LON in degrees", param_hint="--take-off") from error
+    return latitude, longitude
 
 
 def detect(
@@ -46,16 +67,27 @@ def detect(
             threads=typer.Option(min=0, metavar="N"),
         ),
     ],
+    places: Annotated[
+        api.PlaceSettings,
+        Fields(
+            errors=Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE,..."), _pose_errors],
+            terrain=typer.Option(metavar="FILE"),
+            take_off=Annotated[str | None, typer.Option(metavar="LAT,LON"), _take_off],
+        ),
+    ],
     reading: ReadingOptions,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace earlier detections in DIR.")] = False,
 ) -> None:
     """Find objects in the pictures of a dataset, a folder off the card or a video; write detections and a table."""
     with shown_progress(session, "searching") as on_progress:
-        report = api.detect(detector, data, out, request, reading=reading, overwrite=overwrite, on_progress=on_progress)
+        report = api.detect(
+            detector, data, out, request, places, reading=reading, overwrite=overwrite, on_progress=on_progress
+        )
     rows = {
         "pictures searched": str(report.pictures),
         f"pictures with detections from {request.confidence:g}": str(report.with_some),
         **{name: str(n) for name, n in report.found.items()},
+        "detections with a place on the ground": str(report.placed),
     }
     show_report(session, report, out / "detect.json", report.to_json(), lambda: f"{table(rows)}\n{out / 'report.html'}")
 

@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypedDict
 
 import cv2
 import numpy as np
@@ -81,13 +82,13 @@ class Look:
     view: View
 
     @cached_property
-    def features(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(n, 2) pixels and (n, 128) descriptors."""
+    def features(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """(n, 2) pixels and (n, 128) descriptors, which are whole numbers."""
         finder = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
         points, descriptors = finder.detectAndCompute(self.view.grey, (~self.view.blocked).astype(np.uint8))
         if descriptors is None:
-            return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32)
-        return np.array([p.pt for p in points], np.float32), np.asarray(descriptors, np.float32)
+            return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.uint8)
+        return np.array([p.pt for p in points], np.float32), np.asarray(descriptors, np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +119,7 @@ class Overlap:
         pixel_sigma: Standard error of that as a share of it.
         height_m: Median height of the pictures that were used.
         residual_m: Deviation of stated positions from the track that the pictures show, per axis.
+        free: Degrees of freedom of that.
         pictures: Number of pictures that were used.
         links: Number of pairs that were used.
         left_out: Number of pairs and of positions that contradict these.
@@ -130,10 +132,16 @@ class Overlap:
     pixel_sigma: float
     height_m: float
     residual_m: float
+    free: int
     pictures: int
     links: int
     left_out: int
     track: dict[int, complex]
+
+    @property
+    def wide(self) -> float:
+        """Standard errors in half an interval of 95 %: the quantile of Student's t, to 0.01 from 8 degrees on."""
+        return 1.96 + 2.4 / self.free + 3.0 / self.free**2
 
     @property
     def ground_pixel_m(self) -> float:
@@ -150,11 +158,37 @@ class Overlap:
         return math.degrees(math.sin(math.radians(self.hfov_deg(width))) * share)
 
 
+class OverlapValue(TypedDict):
+    """A value that overlap tells.
+
+    Attributes:
+        name: Name of the fact; `yaw_error_deg` and `flight_yaw_error_deg` are by how much a stated yaw is too large.
+        value: The value.
+        low: Lower end of its interval of 95 %.
+        high: Upper end of it.
+        stated: What headers state, the median; None if nothing.
+        contradicts: Whether what is stated is outside the interval.
+        source: What it follows from.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    stated: float | None
+    contradicts: bool
+    source: str
+
+
+def shorter_side(size_wh: tuple[int, int], hfov_deg: float | None) -> float:
+    """Return the ground along the shorter side of pictures, per height; for a usual lens if none is stated."""
+    return 2 * math.tan(math.radians(hfov_deg or _USUAL_HFOV_DEG) / 2) / size_wh[0] * min(size_wh)
+
+
 def neighbours(places: Sequence[Place], size_wh: tuple[int, int], hfov_deg: float | None) -> Iterator[tuple[int, int]]:
     """Yield pairs of pictures that show much of the same ground: those that follow each other first, near ones next."""
     at = np.array([complex(p.east_m, p.north_m) for p in places])
-    share = 2 * math.tan(math.radians(hfov_deg or _USUAL_HFOV_DEG) / 2) / size_wh[0] * min(size_wh)
-    side = share * np.array([p.height_m for p in places])
+    side = shorter_side(size_wh, hfov_deg) * np.array([p.height_m for p in places])
     apart = np.abs(at[:, None] - at) / np.minimum(side[:, None], side)
     first, second = np.nonzero(np.triu((apart <= _NEAR) & (apart >= _APART), 1))
     later = second - first
@@ -168,7 +202,7 @@ def find_link(first: int, second: int, looks: Sequence[Look]) -> Link | None:
     (begin, of_begin), (end, of_end) = one.features, other.features
     if min(len(begin), len(end)) < LEAST_CORNERS:
         return None
-    near = cv2.BFMatcher().knnMatch(of_begin, of_end, k=2)
+    near = cv2.BFMatcher().knnMatch(of_begin.astype(np.float32), of_end.astype(np.float32), k=2)
     pairs = [m for m, next_best in near if m.distance < _RATIO * next_best.distance]
     if len(pairs) < LEAST_CORNERS:
         return None
@@ -217,7 +251,7 @@ def _fit(places: Sequence[Place], links: Sequence[Link], size_wh: tuple[int, int
     steps = np.array([_step(k, size_wh, heading, height) for k in links], np.complex128)
     kept = _agreeing(steps, at[second] - at[first])
     error = np.maximum([k.error_px for k in links], _EXACT_PX)
-    group, track = _joined(len(places), first[kept], second[kept], steps[kept], 1 / error[kept])
+    group, track = _joined(len(places), first[kept], second[kept], steps[kept], 1 / error[kept] ** 2)
     used = np.isin(np.arange(len(places)), [first[kept], second[kept]])
     compared = int(used.sum())
     if compared < _LEAST:
@@ -230,7 +264,8 @@ def _fit(places: Sequence[Place], links: Sequence[Link], size_wh: tuple[int, int
     if used.sum() - groups < _LEAST - 1:
         return f"{int(used.sum())} pictures agree with each other, expected at least {_LEAST}"
     rest = fitted.rest[used]
-    deviation = math.sqrt(float((np.abs(rest) ** 2).sum()) / (2 * (len(rest) - groups) - 2))
+    free = 2 * (len(rest) - groups) - 2
+    deviation = math.sqrt(float((np.abs(rest) ** 2).sum()) / free)
     sigma = deviation * math.sqrt(_alike(rest, group[used]) / fitted.moment) / abs(fitted.number)
     if sigma > _MOST_SIGMA:
         return "the positions move too little, or not as the pictures do"
@@ -242,6 +277,7 @@ def _fit(places: Sequence[Place], links: Sequence[Link], size_wh: tuple[int, int
         pixel_sigma=sigma,
         height_m=float(np.median(height[used])),
         residual_m=deviation,
+        free=free,
         pictures=int(used.sum()),
         links=int(kept.sum()),
         left_out=len(links) - int(kept.sum()) + compared - int(used.sum()),
@@ -304,11 +340,14 @@ def _joined(
     group = np.arange(count)
     for a, b in zip(first.tolist(), second.tolist(), strict=True):
         group[group == group[b]] = group[a]
-    equations = np.zeros((len(steps), count), np.complex128)
-    rows = np.arange(len(steps))
-    equations[rows, first] = -weight
-    equations[rows, second] = weight
-    return group, np.asarray(np.linalg.lstsq(equations, steps * weight, rcond=None)[0])
+    # Normal equations; the first picture of each group is at 0, which no shift between pictures tells.
+    normal = np.diag((np.unique(group, return_index=True)[1][:, None] == np.arange(count)).any(axis=0).astype(float))
+    sums = np.zeros(count, np.complex128)
+    for one, other, sign in ((first, second, -1), (second, first, 1)):
+        np.add.at(normal, (one, one), weight)
+        np.add.at(normal, (one, other), -weight)
+        np.add.at(sums, one, sign * weight * steps)
+    return group, np.asarray(np.linalg.solve(normal.astype(np.complex128), sums))
 
 
 def _centred(values: Complex, group: NDArray[np.int_], used: NDArray[np.bool_]) -> Complex:

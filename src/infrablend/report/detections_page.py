@@ -49,7 +49,11 @@ class FoundObject:
 
 
 def detections_page(
-    facts: Mapping[str, Any], images: Sequence[ImageRecord], predictions: Predictions, confidence: float
+    facts: Mapping[str, Any],
+    images: Sequence[ImageRecord],
+    predictions: Predictions,
+    confidence: float,
+    maps: Sequence[bytes] = (),
 ) -> str:
     """Return the HTML page; the same detections and pictures give the same bytes.
 
@@ -58,6 +62,7 @@ def detections_page(
         images: All pictures of the data, in order.
         predictions: Detections on those that were searched.
         confidence: Lowest score of what is shown.
+        maps: Maps as SVG files.
     """
     shown = _shown(predictions, confidence)
     ranked = sorted((o for of in shown.values() for o in of), key=lambda o: (-o.score, o.picture, o.box))
@@ -73,6 +78,7 @@ def detections_page(
         level=f"{confidence:g}",
         by_class=_class_table(shown, predictions.classes),
         by_confidence=_confidence_table(predictions),
+        maps=maps,
         chart=_chart([shown[image_key(i)] for i in images if image_key(i) in shown], predictions.classes),
         found=len(ranked),
         crops=[(o, crops[o]) for o in picked if o in crops],

@@ -58,14 +58,16 @@ def draw_flight(
     """
     from matplotlib.collections import EllipseCollection, PolyCollection
 
-    corners = np.concatenate(footprints)
+    everything = [(place, e.major_m) for places in found.values() for place, e in places]
+    reach = [place + e * sign for place, e in everything for sign in (-1, 1)]
+    corners = np.concatenate([*footprints, *(r[None] for r in reach)])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = 0.05 * float((high - low).max())
+    margin = 0.02 * float((high - low).max())
     low, high = low - margin, high + margin
     cell_m = float((high - low).max()) / _CELLS
     width, height = np.ceil((high - low) / cell_m).astype(int).tolist()
     counts = photographed(footprints, low, cell_m, (height, width))
-    figure, (ax,) = panels(1, 1, (8.0, min(10.0, max(4.0, 1.2 + 7.0 * height / width))))
+    figure, (ax,) = panels(1, 1, (8.0, min(10.0, max(4.0, 1.0 + 5.8 * height / width))))
     extent = (low[0], low[0] + width * cell_m, low[1], low[1] + height * cell_m)
     shown = ax.imshow(np.where(counts, counts, np.nan), extent=extent, origin="lower", cmap="Blues", vmin=0,
                       interpolation="nearest")  # fmt: skip

@@ -21,6 +21,7 @@ from infrablend.formats.image_groups import Leakage, leakage
 from infrablend.formats.pictures.images import load_background
 from infrablend.formats.pictures.listing import read_size
 from infrablend.formats.pictures.temperature_scale import describe_scales
+from infrablend.imaging.overlap import OverlapValue
 from infrablend.imaging.surfaces import find_surfaces
 from infrablend.report.charts import legend, matrix, panels, plot_text, png_bytes, stacked_bars
 
@@ -58,6 +59,8 @@ class Inspection:
         remarks: Known facts about this published dataset that its files do not contain.
         problems: Errors and warnings.
         notes: Notes of the reader.
+        overlap: Yaw, ground pixel and lens that follow from the overlap of pictures, or in words why none do; None if
+            no positions are stated.
     """
 
     root: Path
@@ -82,6 +85,7 @@ class Inspection:
     remarks: tuple[str, ...]
     problems: tuple[Problem, ...]
     notes: Mapping[str, Any] = field(default_factory=dict)
+    overlap: Sequence[OverlapValue] | str | None = None
 
     def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
@@ -112,6 +116,7 @@ class Inspection:
             "remarks": list(self.remarks),
             "problems": [p.to_json() for p in self.problems],
             "notes": dict(self.notes),
+            "overlap": self.overlap,
         }
 
     def quantiles(self, name: str) -> dict[str, float]:

@@ -201,6 +201,7 @@ def an_image(**facts: object) -> ImageRecord:
 
 def test_a_pose_names_what_it_lacks() -> None:
     assert pose_of(an_image(hfov_deg=None, latitude_deg=None)) == "latitude_deg, hfov_deg"
+    assert pose_of(an_image(altitude_m=0.0)) == "altitude_m above 0"
     assert pose_of(replace(an_image(), size_wh=None)) == "size of the picture"
 
 

@@ -36,8 +36,8 @@ class HeightGrid:
         """Return (n,) heights at (n, 2) metres east and north, between the cells around; NaN beside the model."""
         at = (en - self.low) / self.cell_m - 0.5
         rows, columns = self.heights_m.shape
-        inside = ((at >= 0) & (at <= (columns - 1, rows - 1))).all(axis=1)
-        cell = np.clip(np.floor(np.where(inside[:, None], at, 0)), 0, (columns - 2, rows - 2)).astype(int)
+        inside = np.asarray(((at >= 0) & (at <= (columns - 1, rows - 1))).all(axis=1))
+        cell = np.asarray(np.clip(np.where(inside[:, None], at, 0), 0, (columns - 2, rows - 2)), np.int64)
         x, y = (at - cell).T
         h = self.heights_m
         south = h[cell[:, 1], cell[:, 0]] * (1 - x) + h[cell[:, 1], cell[:, 0] + 1] * x

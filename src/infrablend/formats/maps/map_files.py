@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from xml.sax.saxutils import escape, quoteattr
+from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def write_kml(path: Path, name: str, features: Iterable[MapFeature]) -> Path:
         style = f"<IconStyle><color>{colour}</color></IconStyle><LineStyle><color>{colour}</color></LineStyle>"
         style += "<PolyStyle><fill>0</fill></PolyStyle>"
         lines += [
-            f"<Placemark id={quoteattr(_printable('f' + f.id.replace(' ', '_')))}><name>{_text(f.title)}</name>",
+            f"<Placemark><name>{_text(f.title)}</name>",
             f"<description>{_text(f.description)}</description><Style>{style}</Style>",
             f"{_kml_geometry(f)}</Placemark>",
         ]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,8 @@ from infrablend.formats.pictures.images import load_background
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.values import csv_text
 from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
+from infrablend.pipeline.flights.place_settings import DEFAULT_PLACES, PlaceSettings
+from infrablend.pipeline.flights.placed_detections import FlightPlaces, draw_maps, place_flight, write_maps
 from infrablend.report.detections_page import PAGE, detections_page
 
 TABLE = "detections.csv"
@@ -49,6 +51,7 @@ class DetectReport:
         pictures: Number of pictures that were searched.
         found: Number of detections from the confidence on, by class.
         with_some: Number of pictures with such a detection.
+        placed: Number of these detections that have a place on the ground.
         problems: Pictures that were not searched, each with its reason, and warnings.
     """
 
@@ -56,6 +59,7 @@ class DetectReport:
     pictures: int
     found: Mapping[str, int]
     with_some: int
+    placed: int
     problems: tuple[Problem, ...] = field(default=())
 
     @property
@@ -70,6 +74,7 @@ class DetectReport:
             "pictures": self.pictures,
             "found": dict(self.found),
             "with_some": self.with_some,
+            "placed": self.placed,
             "problems": [p.to_json() for p in self.problems],
         }
 
@@ -79,18 +84,20 @@ def detect_objects(
     dataset: Dataset,
     out: Path,
     request: DetectRequest = DEFAULT_DETECT,
+    settings: PlaceSettings = DEFAULT_PLACES,
     *,
     reading: Reading = READ_ALL,
     overwrite: bool = False,
     on_progress: OnProgress | None = None,
 ) -> DetectReport:
-    """Write `predictions.json`, `detections.csv`, `report.html` and `detect.json`.
+    """Write `predictions.json`, `detections.csv`, `report.html` and `detect.json`, and maps if pictures have a pose.
 
     Args:
         detector: Weights, ONNX file, or detections in COCO; or the folder of a training, a `detect` or an evaluation.
         dataset: The pictures.
         out: Folder to write.
         request: How to detect.
+        settings: How to place detections on the ground.
         reading: How the pictures were read, for those who look at the detections later.
         overwrite: Whether to replace earlier detections in `out`.
         on_progress: Called with the number of pictures searched so far.
@@ -98,7 +105,7 @@ def detect_objects(
     Raises:
         MissingDependencyError: A package or device is missing.
         ModelError: The detector cannot be used.
-        DatasetError: No picture can be searched.
+        DatasetError: No picture can be searched, or the height model cannot be used.
         OutputError: `out` has something that may not be replaced, or cannot be written.
     """
     require_apart(dataset.root, out)
@@ -117,12 +124,17 @@ def detect_objects(
             raise DatasetError(f"{dataset.root}: no picture can be searched", problems)
         shown = {key: at_least(found, request.confidence) for key, found in predictions.images.items()}
         total = Counter(predictions.classes[k] for found in shown.values() for k in found.classes.tolist())
-        problems += _remarks(predictions, total, request.confidence)
+        sizes = predictions.sizes_wh
+        searched = [replace(i, size_wh=sizes[image_key(i)]) for i in dataset.images if image_key(i) in shown]
+        places = place_flight(dataset.root.name, searched, replace(predictions, images=shown), settings)
+        problems += (*places.problems, *_remarks(predictions, total, request.confidence))
         write_predictions(space.folder / PREDICTIONS, predictions)
-        write_text(space.folder / TABLE, _table(dataset, shown, predictions.classes))
+        write_text(space.folder / TABLE, _table(searched, shown, predictions.classes, places))
+        if places.poses.known:
+            write_maps(space.folder, places.poses, places.placed)
         with_some = sum(bool(len(found)) for found in shown.values())
         counts = {name: total[name] for name in predictions.classes if total[name]}
-        report = DetectReport(out, len(predictions.images), counts, with_some, tuple(problems))
+        report = DetectReport(out, len(predictions.images), counts, with_some, len(places.placed), tuple(problems))
         facts: dict[str, object] = {
             "detector": dict(predictions.facts),
             "classes": list(predictions.classes),
@@ -131,9 +143,11 @@ def detect_objects(
             "data_name": dataset.root.name,
             "format": dataset.format,
             "confidence": request.confidence,
+            "places": places.to_json(),
             **{k: v for k, v in report.to_json().items() if k != "out"},
         }
-        page = detections_page(facts, dataset.images, predictions, request.confidence)
+        maps = draw_maps(places.poses, places.placed)
+        page = detections_page(facts, dataset.images, predictions, request.confidence, maps)
         write_text(space.folder / PAGE, page)
         space.finish(facts)
     return report
@@ -230,18 +244,19 @@ def _remarks(predictions: Predictions, total: Mapping[str, int], confidence: flo
     return remarks
 
 
-def _table(dataset: Dataset, shown: Mapping[str, Detections], classes: tuple[str, ...]) -> str:
+def _table(
+    images: Sequence[ImageRecord], shown: Mapping[str, Detections], classes: Sequence[str], places: FlightPlaces
+) -> str:
     """Return the table of detections, picture by picture, those of a picture by descending score."""
+    placed = {(p.picture, p.number): p for p in places.placed}
     rows: list[tuple[object, ...]] = []
-    for image in dataset.images:
-        found = shown.get(image_key(image))
-        if found is not None:
-            rows += [
-                (image_key(image), time_text(image), *box, classes[of], score, *[""] * 6)
-                for box, of, score in zip(
-                    found.boxes_xyxy.tolist(), found.classes.tolist(), found.scores.tolist(), strict=True
-                )
-            ]
+    for image in images:
+        key = image_key(image)
+        found = shown[key]
+        for k, (box, of) in enumerate(zip(found.boxes_xyxy.tolist(), found.classes.tolist(), strict=True)):
+            at = placed.get((key, k))
+            place = [""] * 5 if at is None else at.table_cells()
+            rows.append((key, time_text(image), *box, classes[of], float(found.scores[k]), "", *place))
     return csv_text(COLUMNS, rows)
 
 

@@ -7,8 +7,9 @@ errors of the pose.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.dataset import ImageRecord
 from infrablend.core.ground_position import (
+    LEAST_DEPRESSION_DEG,
     PROBABILITY,
     Ellipse,
     LocalFrame,
@@ -29,9 +32,11 @@ from infrablend.core.ground_position import (
 )
 from infrablend.core.mesh import FloatArray
 from infrablend.detection.detections import Detections, Predictions
+from infrablend.errors import Problem
 from infrablend.formats.maps.map_files import MapFeature, write_geojson, write_gpx, write_kml
-from infrablend.pipeline.flights.flight_poses import FlightPoses
-from infrablend.pipeline.flights.terrain import Terrain
+from infrablend.pipeline.flights.flight_poses import FlightPoses, find_poses
+from infrablend.pipeline.flights.place_settings import PlaceSettings
+from infrablend.pipeline.flights.terrain import Terrain, on_terrain
 from infrablend.report.flight_map import draw_flight
 
 DETECTIONS_MAP = "detections.geojson"
@@ -64,6 +69,82 @@ class PlacedDetection:
     ellipse: Ellipse
     size_m: float
     ground_pixel_m: float
+
+    def table_cells(self) -> list[str]:
+        """Return latitude, longitude, and semi-axes and bearing of the ellipse, as text."""
+        e = self.ellipse
+        place = f"{self.latitude_deg:.7f}", f"{self.longitude_deg:.7f}"
+        return [*place, f"{e.major_m:.2f}", f"{e.minor_m:.2f}", f"{e.azimuth_deg:.1f}"]
+
+
+@dataclass(frozen=True, eq=False)
+class FlightPlaces:
+    """Where things are on a flight.
+
+    Attributes:
+        poses: Poses of its pictures.
+        placed: Detections that have a place.
+        problems: Warnings about pictures and detections without one, and about what is taken for granted.
+    """
+
+    poses: FlightPoses
+    placed: Sequence[PlacedDetection]
+    problems: Sequence[Problem]
+
+    def stated_errors(self) -> list[tuple[str, float, str, int]]:
+        """Return the standard errors that ellipses follow from: name, value, source and number of pictures."""
+        found = ((name, e.value, e.source) for p in self.poses.known.values() for name, e in p.errors.items())
+        return [(*key, n) for key, n in sorted(Counter(found).items())]
+
+    def to_json(self) -> dict[str, object]:
+        """Return plain JSON values."""
+        return {
+            "pictures": len(self.poses.known),
+            "detections": len(self.placed),
+            "lacking": dict(self.poses.lacking),
+            "errors": [
+                {"name": name, "value": value, "source": source, "pictures": n}
+                for name, value, source, n in self.stated_errors()
+            ],
+        }
+
+
+def place_flight(
+    where: str, images: Sequence[ImageRecord], predictions: Predictions, settings: PlaceSettings
+) -> FlightPlaces:
+    """Return where the detections of a flight are.
+
+    Args:
+        where: Name of the data, for problems.
+        images: The pictures.
+        predictions: The detections.
+        settings: How to place them.
+
+    Raises:
+        MissingDependencyError: A height model is given, and rasterio is not installed.
+        DatasetError: The height model cannot be used.
+    """
+    poses = find_poses(images, settings.errors)
+    problems = []
+    terrain = None
+    if settings.terrain is not None and poses.known:
+        poses, terrain = on_terrain(Path(settings.terrain), images, poses, settings.take_off)
+        if settings.take_off is None:
+            found = "the place of take-off is not known, and is taken to be that of each flight's first picture"
+            problems.append(Problem(where, "take-off", found, "it", "give --take-off LAT,LON", "warning"))
+    placed, nowhere = place_detections(predictions, poses, terrain)
+    for lacking, keys in itertools.groupby(
+        sorted(poses.lacking, key=lambda k: (poses.lacking[k], k)), poses.lacking.get
+    ):
+        names = list(keys)
+        found = f"{len(names)} of {len(images)} pictures are not on the map, such as {names[0]}; they lack: {lacking}"
+        todo = "give what is missing as columns of metadata.csv"
+        problems.append(Problem(where, "no-pose", found, "position, height, angles and lens of each", todo, "warning"))
+    if nowhere:
+        found = f"no place for {nowhere} of {nowhere + len(placed)} detections in pictures on the map"
+        expected = f"ground {LEAST_DEPRESSION_DEG:g} degrees or more below the horizon, and in the height model"
+        problems.append(Problem(where, "no-place", found, expected, severity="warning"))
+    return FlightPlaces(poses, placed, problems)
 
 
 def place_detections(
@@ -143,7 +224,7 @@ def write_maps(folder: Path, poses: FlightPoses, placed: Sequence[PlacedDetectio
     features = [_feature(p) for p in placed]
     return [
         write_geojson(folder / DETECTIONS_MAP, features),
-        write_geojson(folder / FOOTPRINTS_MAP, [_footprint(key, poses) for key in sorted(poses.known)]),
+        write_geojson(folder / FOOTPRINTS_MAP, _footprints(poses)),
         write_kml(folder / "detections.kml", "detections", features),
         write_gpx(folder / "detections.gpx", features),
     ]
@@ -192,15 +273,17 @@ def _feature(p: PlacedDetection) -> MapFeature:
     )
 
 
-def _footprint(key: str, poses: FlightPoses) -> MapFeature:
-    pose, frame = poses.known[key], poses.frames[key]
-    facts = {
-        "picture": key,
-        "height_m": pose.height_m,
-        "yaw_deg": pose.yaw_deg,
-        "pitch_deg": pose.pitch_deg,
-        "roll_deg": pose.roll_deg,
-        "hfov_deg": pose.hfov_deg,
-    }
-    text = ", ".join(f"{name} {value}" for name, value in list(facts.items())[1:])
-    return MapFeature(key, key, text, frame.to_degrees(*footprint(pose, frame).T), _BLUE, facts)
+def _footprints(poses: FlightPoses) -> Iterator[MapFeature]:
+    """Yield the ground in each picture; nothing for one that shows none."""
+    for key, pose in sorted(poses.known.items()):
+        frame = poses.frames[key]
+        facts = {
+            "picture": key,
+            "height_m": pose.height_m,
+            "yaw_deg": pose.yaw_deg,
+            "pitch_deg": pose.pitch_deg,
+            "roll_deg": pose.roll_deg,
+            "hfov_deg": pose.hfov_deg,
+        }
+        if len(corners := footprint(pose, frame)):
+            yield MapFeature(key, key, f"{pose.height_m:.1f} m", frame.to_degrees(*corners.T), _BLUE, facts)

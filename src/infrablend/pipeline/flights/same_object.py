@@ -180,7 +180,7 @@ class _Joining:
         for row, (k, column) in enumerate(zip(numbers, chosen, strict=True)):
             if column < len(near):
                 self._join(near[column], k)
-                near[column].unsure += self._density * gates[row, column] > _RIVALS
+                near[column].unsure += int(self._density * gates[row, column] > _RIVALS)
                 continue
             self.tracks.append(self._new(k))
             may_be = [t for t in lost if self._moves(t) is not False and self._in_reach(t, k)]

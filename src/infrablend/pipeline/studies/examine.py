@@ -20,6 +20,7 @@ from infrablend.formats.labels import shards
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.runs.exports import unknown_files
 from infrablend.pipeline.runs.packed_shard import damage_of
+from infrablend.pipeline.studies.flight_overlap import glance_at_overlap
 from infrablend.report.card import CARD_FILE
 from infrablend.report.checking import Checking, CheckReport, check_dataset, unreadable
 from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
@@ -53,7 +54,7 @@ def inspect_folder(
 def _inspected(root: Path, reading: Reading, decode: bool) -> Inspection:
     dataset = dataset_folder.read(root, reading)
     reason = "as asked for" if reading.format else dataset_folder.detect(dataset.root).reasons[dataset.format]
-    return inspect_dataset(dataset, reason, decode=decode)
+    return replace(inspect_dataset(dataset, reason, decode=decode), overlap=glance_at_overlap(dataset.images))
 
 
 def check_folder(

@@ -14,6 +14,7 @@ from tests.onnx_files import write_cells
 
 from infrablend.config.agc import LinearAgc
 from infrablend.core.dataset import Dataset
+from infrablend.core.ground_position import LocalFrame
 from infrablend.detection.detections import read_predictions
 from infrablend.detection.onnx_detector import MARK
 from infrablend.errors import ArgumentError, DatasetError, OutputError
@@ -70,6 +71,36 @@ def test_everything_that_is_found_is_written(flight: Path, detector: Path, tmp_p
     assert 'href="http' not in page
 
 
+def test_detections_have_places_where_pictures_have_a_pose(flight: Path, detector: Path, tmp_path: Path) -> None:
+    pose = "90,60,50,0,46.5,11.3"
+    table = f"file,pitch_deg,altitude_m,hfov_deg,yaw_deg,latitude_deg,longitude_deg\na.png,{pose}\nb.png,{pose}\n"
+    (flight / "metadata.csv").write_text(table)
+    report = detect(detector, flight, tmp_path / "out")
+    assert report.placed == 3
+    rows = list(csv.DictReader((tmp_path / "out" / "detections.csv").read_text("utf-8").splitlines()))
+    # 60 m and 50 degrees over 96 px are 0.583 m a pixel; the cell is 36 px left of the middle and 20 px above it.
+    frame = LocalFrame(46.5, 11.3)
+    place = frame.to_metres(float(rows[0]["latitude"]), float(rows[0]["longitude"]))
+    assert place == pytest.approx(0.5829 * np.array([-36, 20]), abs=0.02)
+    assert float(rows[0]["ellipse_long_m"]) > float(rows[0]["ellipse_short_m"]) > 2
+    points = json.loads((tmp_path / "out" / "detections.geojson").read_text("utf-8"))["features"]
+    assert [p["id"] for p in points] == ["train/a.png 0", "train/b.png 0", "train/b.png 1"]
+    record = json.loads((tmp_path / "out" / "detect.json").read_text("utf-8"))
+    assert record["places"]["lacking"].keys() == {"train/c.png"}
+    assert "1 of 3 pictures are not on the map, such as train/c.png" in str(report.problems)
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert "data:image/svg+xml" in page
+    assert "satellite position without corrections" in page
+
+
+def test_without_any_pose_there_is_no_map(flight: Path, detector: Path, tmp_path: Path) -> None:
+    report = detect(detector, flight, tmp_path / "out")
+    assert report.placed == 0
+    assert "3 of 3 pictures are not on the map" in str(report.problems[-1])
+    assert not list((tmp_path / "out").glob("*.geojson"))
+    assert "data:image/svg+xml" not in (tmp_path / "out" / "report.html").read_text("utf-8")
+
+
 def test_the_same_pictures_give_the_same_bytes(flight: Path, detector: Path, tmp_path: Path) -> None:
     detect(detector, flight, tmp_path / "one")
     detect(detector, flight, tmp_path / "two", threads=1)
@@ -106,6 +137,7 @@ def test_saved_detections_are_matched_with_their_pictures(flight: Path, detector
     assert [(p.where, p.severity) for p in report.problems] == [
         ("train/d.png", "error"),
         ("predictions.json", "warning"),
+        ("flight", "warning"),  # no poses
     ]
     other = replace(dataset, images=(replace(dataset.images[0], size_wh=(80, 96)),))
     with pytest.raises(DatasetError, match="96x80"):

@@ -13,11 +13,14 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.ground_position import LocalFrame, Pose, PoseErrors, pixels_of_ground
 from infrablend.detection.detections import Predictions, detections
+from infrablend.errors import ArgumentError
 from infrablend.pipeline.flights.flight_poses import find_poses
+from infrablend.pipeline.flights.place_settings import PlaceSettings
 from infrablend.pipeline.flights.placed_detections import (
     draw_maps,
     ground_contact,
     place_detections,
+    place_flight,
     write_maps,
 )
 
@@ -84,6 +87,7 @@ def test_things_seen_level_touch_the_ground_at_the_lower_edge() -> None:
 
 def test_maps_hold_detections_and_footprints(tmp_path: Path) -> None:
     images = [a_picture("a"), a_picture("b", longitude_deg=11.3002), a_picture("far", latitude_deg=47.5)]
+    images += [a_picture("sky", pitch_deg=-40.0)]
     poses = find_poses(images)
     found = predictions({"a": [[310, 250, 330, 262]], "far": [[310, 250, 330, 262]]})
     placed, _ = place_detections(found, poses)
@@ -106,3 +110,23 @@ def test_places_far_apart_have_maps_of_their_own() -> None:
     assert b"2 pictures" in near
     assert b"person" not in far
     assert draw_maps(poses, placed)[0] == near
+
+
+def test_what_has_no_place_is_said() -> None:
+    images = [a_picture("a", pitch_deg=20.0), a_picture("b", yaw_deg=None), a_picture("c", yaw_deg=None)]
+    found = predictions({"a": [[300, 10, 310, 20], [300, 400, 310, 420]], "b": [[0, 0, 9, 9]]})
+    places = place_flight("flight", images, found, PlaceSettings(errors=PoseErrors(height_m=3.0)))
+    assert [p.code for p in places.problems] == ["no-pose", "no-place"]
+    assert "2 of 3 pictures are not on the map, such as test/b.jpg; they lack: yaw_deg" in str(places.problems[0])
+    assert "no place for 1 of 2 detections" in str(places.problems[1])
+    facts = places.to_json()
+    assert (facts["pictures"], facts["detections"]) == (1, 1)
+    assert {"name": "height_m", "value": 3.0, "source": "given", "pictures": 1} in facts["errors"]
+
+
+@pytest.mark.parametrize("wrong", [{"take_off": (91.0, 0.0)}, {"take_off": (46.5,)}])
+def test_wrong_settings_are_refused(wrong: dict[str, tuple[float, ...]]) -> None:
+    with pytest.raises(ArgumentError, match="take_off"):
+        PlaceSettings(**wrong)
+    with pytest.raises(ArgumentError, match="yaw_deg"):
+        PoseErrors(yaw_deg=-1.0)
