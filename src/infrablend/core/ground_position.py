@@ -228,6 +228,16 @@ def pixels_of_ground(pose: Pose, frame: LocalFrame, en: FloatArray) -> FloatArra
     return np.asarray(seen[:, :2] / depth[:, None] * pose.focal_px + np.array(pose.size_wh) / 2)
 
 
+def ground_to_pixels(pose: Pose, frame: LocalFrame) -> FloatArray:
+    """Return the (3, 3) homography from metres east and north of level ground to pixels, of any scale."""
+    vector = _vector(pose, frame)
+    east, north = vector[:2]
+    width, height = pose.size_wh
+    lens = np.array([[pose.focal_px, 0, width / 2], [0, pose.focal_px, height / 2], [0, 0, 1]])
+    below = np.array([[1, 0, -east], [0, 1, -north], [0, 0, -pose.height_m]])
+    return np.asarray(lens @ _axes(vector) @ below)
+
+
 def footprint(pose: Pose, frame: LocalFrame) -> FloatArray:
     """Return (k, 2) corners, metres east and north, of the ground that the picture shows, clockwise in the picture.
 

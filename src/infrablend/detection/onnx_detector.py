@@ -110,12 +110,14 @@ def run_network(session: Any, tile: NDArray[np.uint8], form: NetworkForm | None)
         if len(entry.shape) == 4:
             batch = entry.shape[0] if isinstance(entry.shape[0], int) else 1
             kind = _TYPES[entry.type]
-            values = np.repeat(tile[None], _channels(entry.shape), axis=0).astype(np.float32)
+            levels = tile.astype(np.float32)
             if form is not None and kind is not np.uint8:
-                values /= form.divisor
-                if any(form.mean):
-                    values = (values - np.array(form.mean)[:, None, None]) / np.array(form.std)[:, None, None]
-            fed[entry.name] = np.repeat(values[None], batch, axis=0).astype(kind)
+                levels /= form.divisor
+            values = np.repeat(levels[None], _channels(entry.shape), axis=0)
+            if form is not None and any(form.mean):
+                values = (values - np.array(form.mean)[:, None, None]) / np.array(form.std)[:, None, None]
+            values = values.astype(kind, copy=False)
+            fed[entry.name] = np.ascontiguousarray(np.broadcast_to(values, (batch, *values.shape)))
         elif entry.name == "orig_target_sizes":
             fed[entry.name] = np.array([[width, height]], np.int64)
         elif entry.name == "pixel_mask":

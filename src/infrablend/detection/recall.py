@@ -88,7 +88,8 @@ def wilson(share: float, count: float) -> tuple[float, float]:
     scale = 1 + Z95**2 / count
     middle = (share + Z95**2 / (2 * count)) / scale
     half = Z95 / scale * math.sqrt(share * (1 - share) / count + Z95**2 / (4 * count**2))
-    return max(0.0, middle - half), min(1.0, middle + half)
+    # The ends of a share of 0 or 1 are that share, but for rounding.
+    return max(0.0, min(middle - half, share)), min(1.0, max(middle + half, share))
 
 
 def difference(one: Share, other: Share) -> tuple[float, float, float] | None:

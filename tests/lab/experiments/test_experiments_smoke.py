@@ -66,7 +66,8 @@ def test_every_experiment_runs_at_the_smoke_scale(
     sources = load_experiment(name).sources
     of_clips = [f"{n}={clips}" for n, s in sources.items() if s.format == "anti-uav"]
     stand_ins = all(s.stand_in is not None for s in sources.values())
-    data: list[Path | str] = [*of_clips] if stand_ins or of_clips else [world]
+    of_world = not stand_ins and (not of_clips or any(s.format == "hit-uav" for s in sources.values()))
+    data: list[Path | str] = [*of_clips, *([world] if of_world else [])]
     request = ExperimentRequest(name, data, work, work / "results", scale="smoke", device="cpu", workers=2)
     report = api.experiment(request)
     assert report.status == "complete"
@@ -79,7 +80,7 @@ def test_every_experiment_runs_at_the_smoke_scale(
     for row in (r for t in facts["tables"] for r in t["rows"] if r["evaluation"] in facts["evaluations"]):
         if row["ours"] is not None:
             assert 0 <= (row["ours"]["map50"] or 0) <= 1
-    assert name == "datasets" or facts["evaluations"]
+    assert name == "datasets" or facts["evaluations"] or facts["detectabilities"]
     by_stage = {s["stage"]: s["images"] for s in facts["stages"]}
     if "convert:synthetic" in by_stage:
         # The limit on contrast applies to each look: a control may leave out the only object of a picture.

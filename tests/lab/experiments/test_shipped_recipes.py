@@ -11,6 +11,7 @@ NOT_ABOUT_LOOKS = {"labels.mode"}
 """Settings of a whole pipeline that change no picture and no box."""
 WHOLE = {
     "datasets": ("aligned", "aligned-test", "deer", "deer-test"),
+    "detectability": ("people-frames", "cars-frames", "inserted-drones"),
     "find-lying": ("all-poses-inserted",),
     "hit-uav": ("aligned", "aligned-test"),
     "hit-uav-drone": ("aligned", "aligned-test"),

@@ -1,4 +1,4 @@
-"""The file of an experiment: datasets, trainings, evaluations, comparisons, tables and claims.
+"""The file of an experiment: datasets, trainings, evaluations, detectabilities, comparisons, tables and claims.
 
 The YAML file also contains the paper's figures that ours are compared with. Each kind of data is a class here (its
 fields in the file) and a maker in `pipeline/experiments` (how it is made).
@@ -22,6 +22,7 @@ from infrablend.core.strict_model import Strict
 from infrablend.core.validation_messages import read_model
 from infrablend.errors import RecipeError
 from infrablend.lab.experiments.experiment_request import EXPERIMENTS, NAME_PATTERN, SCALES, Scale
+from infrablend.pipeline.flights.detectability_figures import LEAST_COMPARED
 
 _PATH_FIELD = re.compile(r"objects\.\d+\.model|sensor\.profile", re.ASCII)
 
@@ -43,6 +44,7 @@ def _names(given: Any) -> Any:
 Names = Annotated[tuple[Name, ...], BeforeValidator(_names), Field(min_length=1)]
 Limits = dict[Split, Annotated[int, Field(ge=1)]]
 Seeds = Annotated[int, Field(ge=1, le=1000)]
+HalfWidth = Annotated[float, Field(gt=0, le=0.5)]
 
 
 class Source(Strict):
@@ -108,6 +110,8 @@ class Convert(Strict):
     """Move each side of the boxes of inserted objects outwards by this distance, px, after `loosen`."""
     match: Name | None = None
     """Data item whose numbers of images and of `with_class` objects per split this part matches."""
+    clips: bool = False
+    """Whether the clip that the names of images tell is the sequence of those that state none."""
     splits: tuple[Split, ...] = SPLITS
     """Splits to make."""
 
@@ -239,6 +243,32 @@ class Evaluation(Strict):
     """Run a tracker over the detections, and compare with the labelled tracks."""
 
 
+class Detectability(Strict):
+    """How likely a detector finds a recipe's objects in the images of a split, beside how many real ones it finds.
+
+    See `infrablend detectability`, which has the same settings.
+    """
+
+    training: Name
+    """Training that provides the weights."""
+    data: Name
+    """Source or data item that provides the images."""
+    recipe: str = Field(min_length=1)
+    """Name of a shipped recipe, or a YAML file; its path is relative to this file."""
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """Recipe fields to change; paths of models and of a sensor profile are relative to this file."""
+    split: Split = "test"
+    """Split of the images."""
+    category: str | None = None
+    """Class to look for; that of the recipe's first object by default."""
+    group: Literal["image", "sequence", "date", "gap"] = "image"
+    """Images whose results depend on each other."""
+    until: dict[Scale, HalfWidth] = Field(default_factory=dict)
+    """Largest half of the interval of the share found, at each scale; 0.03 by default."""
+    title: str = ""
+    """Name on the page; that of the entry by default."""
+
+
 class Comparison(Strict):
     """The paired difference a - b of two evaluations on the same images and classes."""
 
@@ -313,8 +343,21 @@ class FactsRow(Strict):
     """Kinds of labels in the paper."""
 
 
+class RecallCells(Strict):
+    """Conditions, such as ranges of sizes, in which the predicted recall is compared with the actual one."""
+
+    of: Names
+    """Detectabilities, with all their seeds."""
+    by: Literal["confidence", "size", "time"] | None = None
+    """Kind of condition, or all objects at each confidence; conditions of every kind by default."""
+    value: str | None = None
+    """Only condition of that kind to look at, such as `night`."""
+    least_real: int = Field(LEAST_COMPARED, ge=1)
+    """Least number of real objects."""
+
+
 class Check(Strict):
-    """A claim, decided by an interval or a ratio."""
+    """A claim, decided by an interval, a ratio, or predicted and actual recall."""
 
     text: str = Field(min_length=1)
     """Claim on the page."""
@@ -322,16 +365,21 @@ class Check(Strict):
     """Comparison that decides."""
     ratio: tuple[Names, Names] | None = None
     """Two evaluations whose ratio decides, instead of a comparison; the means of several are compared."""
+    recall: RecallCells | None = None
+    """Differences of predicted and actual recall that decide, instead of a comparison."""
     category: str = "all"
-    """Class, or `all`."""
+    """Class, or `all`; not for `recall`."""
     metric: Metric = "map50_95"
-    """Metric."""
+    """Metric; not for `recall`."""
     time: Literal["night", "day"] | None = None
     """For a ratio: only objects in images of this time of day."""
-    expect: Literal["below", "above", "within", "not_below", "at_least", "report"]
-    """Whole interval below or above 0, 0 within it, not entirely below 0; ratio of at least `least`; or no verdict."""
+    expect: Literal["below", "above", "within", "not_below", "at_least", "at_most", "report"]
+    """Whole interval below or above 0, 0 within it, not entirely below 0; ratio, or share of the intervals of `recall`
+    that hold 0, of at least `least`; every difference of `recall` at most `most`; or no verdict."""
     least: float | None = None
-    """Smallest ratio for `at_least`."""
+    """Smallest ratio or share for `at_least`."""
+    most: float | None = Field(None, gt=0)
+    """Largest difference for `at_most`, up or down."""
     scales: tuple[Scale, ...] = SCALES
     """Scales at which the claim is checked."""
 
@@ -339,14 +387,18 @@ class Check(Strict):
     def _whole(self) -> Check:
         no_comparison = self.comparison is None
         no_ratio = self.ratio is None
+        no_recall = self.recall is None
         at_least = self.expect == "at_least"
+        at_most = self.expect == "at_most"
         of_interval = self.expect in ("below", "above", "within", "not_below")
         for wrong, why in (
-            (no_comparison == no_ratio, "a check needs either comparison or ratio, not both"),
+            (no_comparison + no_ratio + no_recall != 2, "a check needs one of comparison, ratio and recall"),
             (at_least != (self.least is not None), "expect: at_least and least need each other"),
+            (at_most != (self.most is not None), "expect: at_most and most need each other"),
             (of_interval and no_comparison, f"expect: {self.expect} needs a comparison"),
             (self.time is not None and no_ratio, "time needs a ratio"),
-            (at_least and no_ratio, "expect: at_least needs a ratio"),
+            (at_least and no_ratio and no_recall, "expect: at_least needs a ratio or recall"),
+            (at_most and no_recall, "expect: at_most needs recall"),
         ):
             if wrong:
                 raise ValueError(why)
@@ -376,6 +428,8 @@ class Experiment(Strict):
     """Detectors to train, by name."""
     evaluations: dict[Name, Evaluation] = Field(default_factory=dict)
     """Evaluations of them, by name."""
+    detectabilities: dict[Name, Detectability] = Field(default_factory=dict)
+    """How likely they find inserted objects, by name."""
     comparisons: dict[Name, Comparison] = Field(default_factory=dict)
     """Paired differences, by name."""
     tables: tuple[Table, ...] = ()
@@ -387,7 +441,8 @@ class Experiment(Strict):
     checks: tuple[Check, ...] = ()
     """Claims that the page decides."""
     only_at: dict[Name, tuple[Scale, ...]] = Field(default_factory=dict)
-    """Scales of data items, trainings, evaluations and comparisons that do not belong to every scale, by name."""
+    """Scales of data items, trainings, evaluations, detectabilities and comparisons that do not belong to every scale,
+    by name."""
 
     @model_validator(mode="after")
     def _names_exist(self) -> Experiment:
@@ -404,12 +459,14 @@ class Experiment(Strict):
             "data": self.seeds_of_data(),
             "trainings": self.seeds_of_trainings(),
             "evaluations": self.seeds_of_evaluations(),
+            "detectabilities": self.seeds_of_detectabilities(),
         }
         for kind, names_of in repeated.items():
             twice = [(n, one) for n, names in names_of.items() for one in names[1:] if one in names_of]
             yield from (f"{kind}.{n}: its seeds include {one}, which the file has as well" for n, one in twice)
-        trainings, evaluations = (
-            {one for names in repeated[kind].values() for one in names} for kind in ("trainings", "evaluations")
+        trainings, evaluations, detectabilities = (
+            {one for names in repeated[kind].values() for one in names}
+            for kind in ("trainings", "evaluations", "detectabilities")
         )
         for n, d in self.data.items():
             if isinstance(d, Paste) and not isinstance(self.data.get(d.like), Generate):
@@ -418,8 +475,9 @@ class Experiment(Strict):
             "source or data": items,
             "training": trainings,
             "evaluation": evaluations,
+            "detectability": detectabilities,
             "comparison": {*self.comparisons},
-            "stage": {*self.data, *trainings, *evaluations, *self.comparisons},
+            "stage": {*self.data, *trainings, *evaluations, *detectabilities, *self.comparisons},
         }
         yield from (f"{place}: no {kind} {name}" for place, kind, name in self._references() if name not in known[kind])
 
@@ -430,8 +488,10 @@ class Experiment(Strict):
         for n in self.data:
             yield from ((f"data.{n}", data, i) for i in self.inputs_of(n).values())
         yield from ((f"trainings.{n}.data", data, t.data) for n, t in self.trainings.items())
-        for n, e in self.evaluations.items():
-            yield from ((f"evaluations.{n}.training", "training", e.training), (f"evaluations.{n}.data", data, e.data))
+        for kind, entries in (("evaluations", self.evaluations), ("detectabilities", self.detectabilities)):
+            for n, e in entries.items():
+                yield f"{kind}.{n}.training", "training", e.training
+                yield f"{kind}.{n}.data", data, e.data
         for n, c in self.comparisons.items():
             yield from ((f"comparisons.{n}", evaluation, of) for of in (*c.a, *c.b))
         for k, table in enumerate(self.tables):
@@ -444,6 +504,8 @@ class Experiment(Strict):
             if check.comparison is not None:
                 yield f"checks.{k}.comparison", "comparison", check.comparison
             yield from ((f"checks.{k}.ratio", evaluation, e) for side in check.ratio or () for e in side)
+            if check.recall is not None:
+                yield from ((f"checks.{k}.recall", "detectability", d) for d in check.recall.of)
         yield from (("only_at", "stage", n) for n in self.only_at)
 
     def seeds_of_trainings(self) -> dict[str, tuple[str, ...]]:
@@ -452,8 +514,17 @@ class Experiment(Strict):
 
     def seeds_of_evaluations(self) -> dict[str, tuple[str, ...]]:
         """Return the names of each evaluation of all seeds of its training."""
+        return self._of_all_seeds(self.evaluations)
+
+    def seeds_of_detectabilities(self) -> dict[str, tuple[str, ...]]:
+        """Return the names of each detectability of all seeds of its training."""
+        return self._of_all_seeds(self.detectabilities)
+
+    def _of_all_seeds(
+        self, entries: Mapping[str, Evaluation] | Mapping[str, Detectability]
+    ) -> dict[str, tuple[str, ...]]:
         seeds = self.seeds_of_trainings()
-        return {n: seed_names(n, len(seeds.get(e.training, (n,)))) for n, e in self.evaluations.items()}
+        return {n: seed_names(n, len(seeds.get(e.training, (n,)))) for n, e in entries.items()}
 
     def seeds_of_data(self) -> dict[str, tuple[str, ...]]:
         """Return the names of all draws of each data item: one per seed of the trainings that use it, if redrawn."""
@@ -479,7 +550,7 @@ class Experiment(Strict):
         return {"of": data.of}
 
     def splits_used(self, name: str) -> list[Split]:
-        """Return the splits of a source or data item that data, trainings or evaluations use."""
+        """Return the splits of a source or data item that data, trainings, evaluations or detectabilities use."""
         found: set[Split] = set()
         for d in self.data.values():
             match d:
@@ -491,6 +562,7 @@ class Experiment(Strict):
                     found |= set(d.splits)
         found |= {s for t in self.trainings.values() if t.data == name for s in SPLITS if s != "test"}
         found |= {e.split for e in self.evaluations.values() if e.data == name}
+        found |= {d.split for d in self.detectabilities.values() if d.data == name}
         return [s for s in SPLITS if s in found]
 
     def at(self, name: str, scale: Scale) -> bool:
@@ -516,8 +588,8 @@ def load_experiment(experiment: str | Path) -> Experiment:
 def parse_experiment(text: str, where: str, folder: Path | None = None) -> Experiment:
     """Return the experiment in a YAML text, as `load_experiment`; paths in it are relative to `folder`."""
     data = parse_mapping(text, f"experiment {where}", "docs/how_to/experiments.md")
-    items = data.get("data")
-    for item in items.values() if isinstance(items, Mapping) else ():
+    sections = [of for kind in ("data", "detectabilities") if isinstance(of := data.get(kind), Mapping)]
+    for item in (one for of in sections for one in of.values()):
         recipe = item.get("recipe") if isinstance(item, dict) else None
         if folder is not None and isinstance(recipe, str) and recipe.lower().endswith((".yaml", ".yml")):
             item["recipe"] = str(real_path(folder / recipe))

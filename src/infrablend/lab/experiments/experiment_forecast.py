@@ -17,9 +17,10 @@ from infrablend.core.files import free_bytes, read_object
 from infrablend.core.machine import available_cores, describe_machine
 from infrablend.core.workspace import partial_of
 from infrablend.detection.predict import pick_device
+from infrablend.detection.recall import Z95
 from infrablend.detection.ultralytics_environment import require_ultralytics
 from infrablend.errors import InfraBlendError
-from infrablend.lab.experiments.definition import Generate
+from infrablend.lab.experiments.definition import Detectability, Generate
 from infrablend.lab.experiments.experiment_request import ExperimentRequest
 from infrablend.lab.experiments.graph import OTHER_SCALES, preset_of
 from infrablend.lab.experiments.prepare import PreparedExperiment
@@ -29,8 +30,10 @@ from infrablend.lab.training.presets import cpu_threads, estimate_seconds
 from infrablend.lab.training.start_weights import AUTO, SCRATCH, network_of, require_known
 from infrablend.lab.training.train import require_arguments
 from infrablend.lab.training.training_record import TrainingRecord
+from infrablend.pipeline.flights.detectability import DEFAULT_DETECTABILITY
+from infrablend.pipeline.plans.scenes import about_scenes
 
-LEARNING = ("train", "evaluate")
+LEARNING = ("train", "evaluate", "detectability")
 """Kinds of stages that need the trainer."""
 NO_WORK = ("done", "not needed", "adopted")
 """Statuses of stages that take no time."""
@@ -122,11 +125,24 @@ def stage_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> flo
             return START_S + images * (FRAME_S + OBJECT_S * _mean_objects(stage.spec)) / available_cores()
         case "evaluate":
             return START_S + images * PREDICT_S["gpu" if _runs_on_gpu(request.device) else "cpu"]
+        case "detectability":
+            return START_S + _searched_seconds(stage, request)
         case "paste":
             return START_S + images * PASTE_S
         case "compare":
             return COMPARE_S * (0.1 if request.scale == "smoke" else 1.0)
     return images * COPY_S
+
+
+def _searched_seconds(stage: Stage, request: ExperimentRequest) -> float:
+    """Return about how long frames with enough objects take, if half of them are found, and pictures as they are."""
+    objects = _mean_objects(stage.spec)
+    images = sum(stage.images.values())
+    recipe = read_recipe(stage.spec.recipe, stage.spec.settings).recipe
+    most = images * about_scenes(recipe, images) * DEFAULT_DETECTABILITY.most_rounds
+    frames = min(0.25 * (Z95 / float(stage.inputs["until"])) ** 2 / max(objects, 0.1), most)
+    predict_s = PREDICT_S["gpu" if _runs_on_gpu(request.device) else "cpu"]
+    return frames * ((FRAME_S + OBJECT_S * objects) / available_cores() + predict_s) + images * predict_s
 
 
 def _runs_on_gpu(device: str) -> bool:
@@ -169,7 +185,7 @@ def _add_training(row: PlannedStage, stage: Stage, request: ExperimentRequest) -
     row["network"] = network_of(spec.weights, preset_of(request, spec), spec.task)
 
 
-def _mean_objects(spec: Generate) -> float:
+def _mean_objects(spec: Generate | Detectability) -> float:
     total = 0.0
     for o in read_recipe(spec.recipe, spec.settings).recipe.objects:
         if isinstance(o.count, int):

@@ -20,6 +20,7 @@ from infrablend.detection.truth import class_key
 from infrablend.errors import DatasetError, InfraBlendError, Problem
 from infrablend.lab.experiments.definition import (
     Convert,
+    Detectability,
     Evaluation,
     Experiment,
     Generate,
@@ -35,6 +36,7 @@ from infrablend.lab.training.presets import Preset
 from infrablend.lab.training.start_weights import AUTO, identify
 from infrablend.lab.training.train_request import choose_preset
 from infrablend.pipeline.datasets.content import content_digest
+from infrablend.pipeline.flights.detectability import DEFAULT_DETECTABILITY
 from infrablend.pipeline.plans.scenes import about_scenes
 from infrablend.pipeline.storage.fetch import require_source
 
@@ -52,7 +54,7 @@ class StageGraph:
     Attributes:
         stages: Stages in an order in which each comes after those it needs.
         keys: Key of each stage, by id.
-        left_out: Reason why a source, dataset, training, evaluation or comparison has no stage, by name.
+        left_out: Reason why a source, dataset, training, evaluation, detectability or comparison has no stage, by name.
         given: Folders given by the user, by source.
         stand_ins: Sources replaced by a virtual world.
     """
@@ -115,6 +117,8 @@ def build_graph(experiment: Experiment, given: Mapping[str, Path], request: Expe
         builder.add_training(name, training)
     for name, evaluation in experiment.evaluations.items():
         builder.add_evaluation(name, evaluation)
+    for name, detectability in experiment.detectabilities.items():
+        builder.add_detectability(name, detectability)
     for name in experiment.comparisons:
         builder.add_comparison(name)
     if builder.problems:
@@ -272,6 +276,22 @@ class _Builder:
         used = {str(s): n for s, n in images.items() if s == spec.split}
         self.add(Stage("evaluate", name, inputs, needs, spec, used))
 
+    def add_detectability(self, name: str, spec: Detectability) -> None:
+        training = self.experiment.trainings[spec.training]
+        if self.skips(name, [spec.training, spec.data, training.data]):
+            return
+        inputs = {
+            **_recipe_inputs(read_recipe(spec.recipe, spec.settings).recipe, self.request),
+            "split": spec.split,
+            "category": spec.category,
+            "group": spec.group,
+            "until": spec.until.get(self.request.scale, DEFAULT_DETECTABILITY.until),
+        }
+        needs = {"training": f"train:{spec.training}", "data": self.made_by[spec.data]}
+        images = self.stages[self.made_by[spec.data]].images
+        used = {str(s): n for s, n in images.items() if s == spec.split}
+        self.add(Stage("detectability", name, inputs, needs, spec, used))
+
     def add_comparison(self, name: str) -> None:
         spec = self.experiment.comparisons[name]
         if self.skips(name, [*spec.a, *spec.b]):
@@ -309,16 +329,20 @@ def _run_inputs(spec: Generate, images: ImagesByRole, request: ExperimentRequest
     recipe = read_recipe(spec.recipe, spec.settings).recipe
     made = {s: images["of"][s] for s in spec.splits if s in images["of"]}
     times = about_scenes(recipe, made.get("train") or sum(made.values())) + int(recipe.output.originals)
+    inputs = {**_recipe_inputs(recipe, request), "splits": list(spec.splits)}
+    return inputs, {s: n * times for s, n in made.items()}
+
+
+def _recipe_inputs(recipe: Recipe, request: ExperimentRequest) -> dict[str, object]:
+    """Return what decides the objects that a recipe inserts."""
     own = {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}
-    inputs = {
+    return {
         "recipe": deciding_fields(recipe),
         "models": sorted(own.values()),  # the user's own models count by their content
-        "splits": list(spec.splits),
         "version": __version__,
         "seed": request.seed,
         "renderer": request.renderer,
     }
-    return inputs, {s: n * times for s, n in made.items()}
 
 
 def _convert_inputs(spec: Convert, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:

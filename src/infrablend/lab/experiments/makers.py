@@ -13,13 +13,21 @@ from infrablend.detection.detections import Task
 from infrablend.detection.truth import class_key
 from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.formats.base import sort_images
+from infrablend.formats.image_groups import frame_places
 from infrablend.formats.read_write import Reading
 from infrablend.lab.evaluation.evaluate import evaluate_detector
 from infrablend.lab.evaluation.evaluation_comparison import compare_evaluations
 from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings
-from infrablend.lab.experiments.definition import Convert, Evaluation, Generate, Merge, Resplit, Training
+from infrablend.lab.experiments.definition import Convert, Detectability, Evaluation, Generate, Merge, Resplit, Training
+from infrablend.lab.experiments.experiment_request import ExperimentRequest
 from infrablend.lab.experiments.pasting import make_paste
-from infrablend.lab.experiments.result_record import CompareResult, DataResult, EvaluateResult, TrainResult
+from infrablend.lab.experiments.result_record import (
+    CompareResult,
+    DataResult,
+    DetectabilityResult,
+    EvaluateResult,
+    TrainResult,
+)
 from infrablend.lab.experiments.stage import StageJob, data_result, read_dataset, spread_images
 from infrablend.lab.training.train import train_dataset
 from infrablend.lab.training.train_request import TrainRequest
@@ -28,6 +36,8 @@ from infrablend.pipeline.datasets.convert import convert_dataset
 from infrablend.pipeline.datasets.requests import ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.select import select
 from infrablend.pipeline.datasets.split import split_dataset
+from infrablend.pipeline.flights.detectability import DetectabilityRequest, measure_detectability
+from infrablend.pipeline.flights.detectability_figures import DetectabilitySettings
 from infrablend.pipeline.plans.run_request import Execution, RunRequest
 from infrablend.pipeline.runs.generate import run_request
 
@@ -68,7 +78,6 @@ def _make_run(job: StageJob) -> DataResult:
     spec: Generate = job.stage.spec
     source = job.needs["of"]
     request = job.request
-    execution = Execution(request.workers, renderer=request.renderer, in_process=request.renderer == "flat")
     run = RunRequest(
         spec.recipe,
         source.dataset,
@@ -76,7 +85,7 @@ def _make_run(job: StageJob) -> DataResult:
         seed=request.seed,
         settings={**spec.settings, "output.formats": ["coco"], "output.layout": "files"},
         reading=Reading(splits=spec.splits, options=source.reader_options),
-        execution=execution,
+        execution=_execution(request),
     )
     for _ in range(2):
         report = job.resume_or_restart(lambda existing: run_request(replace(run, existing=existing), job.on_progress))
@@ -92,6 +101,10 @@ def _make_run(job: StageJob) -> DataResult:
     return result
 
 
+def _execution(request: ExperimentRequest) -> Execution:
+    return Execution(request.workers, renderer=request.renderer, in_process=request.renderer == "flat")
+
+
 def _make_part(job: StageJob) -> DataResult:
     """Write a part of a dataset with its classes renamed or dropped."""
     spec: Convert = job.stage.spec
@@ -99,11 +112,21 @@ def _make_part(job: StageJob) -> DataResult:
     out = job.out
     dataset = read_dataset(source.dataset, splits=spec.splits, options=source.reader_options)
     images = [image for split in spec.splits for image in _chosen_images(job, dataset, split)]
-    dataset = replace(dataset, images=tuple(images))
+    dataset = replace(dataset, images=_with_clips(images) if spec.clips else tuple(images))
     known = {c.name for c in dataset.categories}
     classes = ClassChanges({old: new for old, new in spec.rename.items() if old in known}, spec.drop, spec.only)
     report = convert_dataset(dataset, "coco", out, classes=classes, looseness=Looseness.of_labels(spec))
     return data_result(read_dataset(out), counts=report.counts)
+
+
+def _with_clips(images: Sequence[ImageRecord]) -> tuple[ImageRecord, ...]:
+    """Return the images, those without a sequence with the clip that their names tell, if they tell one."""
+    return tuple(
+        image
+        if place is None or image.capture.sequence is not None
+        else replace(image, capture=replace(image.capture, sequence=place[0].removeprefix("./")))
+        for image, place in zip(images, frame_places(images), strict=True)
+    )
 
 
 def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[ImageRecord]:
@@ -278,6 +301,25 @@ def _evaluated_classes(
     return joint
 
 
+def _make_detectability(job: StageJob) -> DetectabilityResult:
+    spec: Detectability = job.stage.spec
+    training = job.needs["training"]
+    data = job.needs["data"]
+    request = DetectabilityRequest(
+        spec.recipe,
+        training.folder / training.trained["weights"],
+        data.dataset,
+        DetectabilitySettings(until=job.stage.inputs["until"], category=spec.category, group=spec.group),
+        recipe_settings=spec.settings,
+        reading=Reading(splits=(spec.split,), options=data.reader_options),
+        execution=_execution(job.request),
+        device=job.request.device,
+        seed=job.request.seed,
+    )
+    report = measure_detectability(request, job.out, on_progress=job.on_progress)
+    return {"facts": report.facts, "there": ["out/detectability.json", "out/detectability.html"]}
+
+
 def _make_comparison(job: StageJob) -> CompareResult:
     a, b = ([made.folder / "out" for role, made in job.needs.items() if role.startswith(side)] for side in "ab")
     found = compare_evaluations(a, b, bootstrap=job.stage.inputs["bootstrap"], seed=job.request.seed)
@@ -294,6 +336,7 @@ MAKERS: Mapping[str, Callable[[StageJob], Mapping[str, object]]] = {
     "paste": make_paste,
     "train": _make_training,
     "evaluate": _make_evaluation,
+    "detectability": _make_detectability,
     "compare": _make_comparison,
 }
 """The maker of each kind of stage: it writes the stage's output and returns the result to record."""

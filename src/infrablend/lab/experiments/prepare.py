@@ -63,6 +63,9 @@ from infrablend.lab.training.training_record import TrainingRecord
 from infrablend.pipeline.plans.planning import make_plan
 from infrablend.pipeline.runs.record import RecordedRun
 
+_REQUIRED = ("source", "train", "evaluate", "detectability", "compare")
+"""Kinds of stages that the page needs."""
+
 
 @dataclass(frozen=True)
 class PreparedExperiment:
@@ -91,7 +94,7 @@ class PreparedExperiment:
         """Return the ids of the stages that the page needs; what a finished stage was made from is not needed again."""
         counted = {d for f in self.experiment.facts for d in f.data}
         stages = self.graph.stages
-        required = {s.id for s in stages if s.kind in ("source", "train", "evaluate", "compare") or s.name in counted}
+        required = {s.id for s in stages if s.kind in _REQUIRED or s.name in counted}
         for s in reversed(stages):
             if s.id in required and s.id not in finished:
                 required |= set(s.needs.values())
@@ -227,13 +230,14 @@ def _missing_folders(experiment: Experiment, given: dict[str, Path]) -> list[Pro
 
 
 def repeat_seeds(experiment: Experiment, scale: Scale) -> Experiment:
-    """Return the experiment with every training, evaluation and redrawn data item once per seed.
+    """Return the experiment with every training, evaluation, detectability and redrawn data item once per seed.
 
-    A seed that only some scales have is limited to them. A name in a row of a table stands for the evaluations of all
-    seeds. The two sides of a comparison or ratio have as many seeds as the evaluation with the fewest at the scale.
+    A seed that only some scales have is limited to them. A name in a row of a table or in a check of recall stands for
+    all seeds. The two sides of a comparison or ratio have as many seeds as the evaluation with the fewest at the scale.
     """
     of_training = experiment.seeds_of_trainings()
     of_evaluation = experiment.seeds_of_evaluations()
+    of_detectability = experiment.seeds_of_detectabilities()
     of_data = experiment.seeds_of_data()
     here = {n: experiment.trainings[e.training].seeds_at(scale) for n, e in experiment.evaluations.items()
             if e.training in experiment.trainings}  # fmt: skip
@@ -252,13 +256,24 @@ def repeat_seeds(experiment: Experiment, scale: Scale) -> Experiment:
         for name, evaluation in experiment.evaluations.items()
         for k, one in enumerate(of_evaluation[name])
     }
+    detectabilities = {
+        one: spec.model_copy(
+            update={
+                "training": _of_seed(spec.training, k, of_training),
+                "title": f"{spec.title or name}, seed {k + 1}" if k else spec.title,
+            }
+        )
+        for name, spec in experiment.detectabilities.items()
+        for k, one in enumerate(of_detectability[name])
+    }
     update = {
         "data": data,
         "trainings": trainings,
         "evaluations": evaluations,
+        "detectabilities": detectabilities,
         "comparisons": {n: _comparison(c, here) for n, c in experiment.comparisons.items()},
         "tables": tuple(_table(t, of_evaluation) for t in experiment.tables),
-        "checks": tuple(_check(c, here) for c in experiment.checks),
+        "checks": tuple(_check(c, here, of_detectability) for c in experiment.checks),
         "only_at": _scales_of_seeds(experiment, of_training),
     }
     return experiment.model_copy(update=update)
@@ -300,7 +315,10 @@ def _row(row: Row, seeds: Mapping[str, Sequence[str]]) -> Row:
     return row.model_copy(update={"evaluation": names})
 
 
-def _check(check: Check, seeds: Mapping[str, int]) -> Check:
+def _check(check: Check, seeds: Mapping[str, int], detectabilities: Mapping[str, Sequence[str]]) -> Check:
+    if check.recall is not None:
+        of = tuple(one for name in check.recall.of for one in detectabilities.get(name, (name,)))
+        return check.model_copy(update={"recall": check.recall.model_copy(update={"of": of})})
     if check.ratio is None:
         return check
     a, b = check.ratio

@@ -17,6 +17,8 @@ from infrablend.lab.evaluation.evaluation_record import (
     TrackFacts,
 )
 from infrablend.lab.training.training_record import TrainingRecord
+from infrablend.pipeline.flights.detectability import DetectabilityFacts
+from infrablend.pipeline.flights.detectability_figures import AlarmFacts, CellFacts, RecallFacts
 
 # -- stage.json ------------------------------------------------------------------------------------------------
 
@@ -67,6 +69,13 @@ class EvaluateResult(TypedDict):
     """The result of an evaluation."""
 
     metrics: EvaluationRecord
+    there: list[str]
+
+
+class DetectabilityResult(TypedDict):
+    """The result of a detectability."""
+
+    facts: DetectabilityFacts
     there: list[str]
 
 
@@ -149,6 +158,29 @@ class EvaluationFigures(TypedDict):
     tracks: NotRequired[TrackFacts]
 
 
+class DetectabilityFigures(TypedDict):
+    """The part of a detectability's record that the page shows; see `detectability.json`.
+
+    `compared` is the number of cells with enough real objects, `holding` of those whose interval of the difference
+    between predicted and actual recall holds 0.
+    """
+
+    title: str
+    kind: str
+    recipe: str
+    trained_on: str
+    category: str
+    confidence: float
+    pictures: int
+    recall: RecallFacts
+    confidences: Sequence[AlarmFacts]
+    cells: Sequence[CellFacts]
+    not_counted: Mapping[str, int]
+    real_of_other_sizes: int
+    compared: int
+    holding: int
+
+
 class ComparisonFigures(TypedDict):
     """The differences of the evaluations `a` and `b`, by class and measure."""
 
@@ -220,9 +252,10 @@ class DatasetRow(TypedDict):
 
 
 class Claim(TypedDict("_Claim", {"class": str})):
-    """A claim and what decides it: the interval of a comparison, or a ratio of figures.
+    """A claim and what decides it: the interval of a comparison, a ratio of figures, or differences of recall.
 
-    `holds` is None where that cannot be decided; `missing` says why figures are missing.
+    `holds` is None where that cannot be decided; `missing` says why figures are missing. Of differences of recall, the
+    largest of all `cells` is in `difference` and `ci`, its cell in `where`, and `holding` of their intervals hold 0.
     """
 
     text: str
@@ -238,13 +271,18 @@ class Claim(TypedDict("_Claim", {"class": str})):
     least: NotRequired[float | None]
     values: NotRequired[Sequence[float]]
     ratio: NotRequired[float]
+    recall_of: NotRequired[Sequence[str]]
+    most: NotRequired[float | None]
+    cells: NotRequired[int]
+    holding: NotRequired[int]
+    where: NotRequired[str]
 
 
 class ExperimentRecord(TypedDict):
     """Everything that the page of an experiment shows.
 
     `stopped` says what stopped an unfinished run. `trainings` have parts of their records, `stages` a row each, and
-    `strata_class` is the class whose strata are shown.
+    `strata_class` is the class whose strata are shown. Records of earlier versions have no `detectabilities`.
     """
 
     experiment: str
@@ -268,6 +306,7 @@ class ExperimentRecord(TypedDict):
     stages: Sequence[Mapping[str, object]]
     trainings: Mapping[str, Mapping[str, object]]
     evaluations: Mapping[str, EvaluationFigures]
+    detectabilities: NotRequired[Mapping[str, DetectabilityFigures]]
     comparisons: Mapping[str, ComparisonFigures]
     tables: Sequence[ResultTable]
     datasets: Sequence[DatasetRow]

@@ -14,10 +14,12 @@ from infrablend.lab.evaluation.evaluation_record import ClassRow, EvaluationReco
 from infrablend.lab.experiments.definition import METRICS, Check, FactsRow, Row, Training
 from infrablend.lab.experiments.graph import OTHER_SCALES, StageGraph
 from infrablend.lab.experiments.prepare import PreparedExperiment
+from infrablend.lab.experiments.recall_cells import check_recall, detectability_figures
 from infrablend.lab.experiments.result_record import (
     Claim,
     ComparisonFigures,
     DatasetRow,
+    DetectabilityFigures,
     EvaluationFigures,
     ExperimentRecord,
     OurDataset,
@@ -51,6 +53,11 @@ def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: s
         n: _evaluation(finished[i].evaluated["metrics"])
         for n in experiment.evaluations
         if (i := f"evaluate:{n}") in finished
+    }
+    detectabilities = {
+        n: detectability_figures(n, d, finished[i].measured["facts"])
+        for n, d in experiment.detectabilities.items()
+        if (i := f"detectability:{n}") in finished
     }
     comparisons: dict[str, ComparisonFigures] = {
         n: {
@@ -107,12 +114,13 @@ def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: s
             if (i := f"train:{n}") in finished
         },
         "evaluations": evaluations,
+        "detectabilities": detectabilities,
         "comparisons": comparisons,
         "tables": tables,
         "datasets": [_dataset_row(f, graph, finished) for f in experiment.facts],
         "strata_class": experiment.strata,
         "checks": [
-            check_claim(c, evaluations, comparisons, graph.left_out, verdict=request.scale != "smoke")
+            check_claim(c, evaluations, comparisons, graph.left_out, detectabilities, verdict=request.scale != "smoke")
             for c in experiment.checks
             if request.scale in c.scales
         ],
@@ -311,6 +319,7 @@ def check_claim(
     evaluations: Mapping[str, EvaluationFigures],
     comparisons: Mapping[str, ComparisonFigures],
     left_out: Mapping[str, str],
+    detectabilities: Mapping[str, DetectabilityFigures] | None = None,
     *,
     verdict: bool = True,
 ) -> Claim:
@@ -325,7 +334,9 @@ def check_claim(
         "expect": check.expect,
         "holds": None,
     }
-    if check.comparison is not None:
+    if check.recall is not None:
+        check_recall(claim, check, detectabilities or {}, left_out)
+    elif check.comparison is not None:
         _check_interval(claim, check, comparisons, left_out)
     else:
         _check_ratio(claim, check, evaluations, left_out)

@@ -30,6 +30,7 @@ from infrablend.lab.experiments.result_record import (
     CompareResult,
     DataResult,
     DatasetFacts,
+    DetectabilityResult,
     EvaluateResult,
     StageRecord,
     TrainResult,
@@ -39,7 +40,7 @@ from infrablend.pipeline.datasets.content import json_digest
 RECORD = "stage.json"
 VERSIONS = {
     "source": 1, "world": 1, "generate": 1, "convert": 1, "split": 1, "merge": 1, "paste": 1,
-    "train": 2, "evaluate": 4, "compare": 1,
+    "train": 2, "evaluate": 4, "detectability": 1, "compare": 1,
 }  # fmt: skip
 """Version of each kind, part of the key. Raise it when a kind produces something else from the same inputs."""
 
@@ -110,6 +111,11 @@ class FinishedStage:
     def evaluated(self) -> EvaluateResult:
         """Result of an evaluation."""
         return cast("EvaluateResult", self.record["result"])
+
+    @property
+    def measured(self) -> DetectabilityResult:
+        """Result of a detectability."""
+        return cast("DetectabilityResult", self.record["result"])
 
     @property
     def compared(self) -> CompareResult:

@@ -16,12 +16,14 @@ from infrablend.lab.experiments.result_record import (
     Claim,
     ComparisonFigures,
     DatasetRow,
+    DetectabilityFigures,
     EvaluationFigures,
     ExperimentRecord,
     ResultTable,
     TableRow,
 )
 from infrablend.lab.pages.evaluation_page import found_table
+from infrablend.report.detectability_page import recall_table
 from infrablend.report.figures import stratum_order
 from infrablend.report.page import Table, bullets, markdown_page
 
@@ -35,6 +37,7 @@ _EXPECTED = {
     "within": "0 inside the interval",
     "not_below": "interval not entirely below 0",
     "at_least": "ratio of at least {least:g}",
+    "at_most": "all differences at most {most:g}",
     "report": "reported, no verdict",
 }
 INDEX_FILE = "index.md"
@@ -51,11 +54,19 @@ _FROM_SCRATCH = (
     "No published weights were found when this was run. On a machine that finds them, add `--weights scratch` to train "
     "as here."
 )
+_RECALL = (
+    "Objects of a recipe are inserted into the pictures in memory, and the detector searches these pictures and the "
+    "unchanged ones (`infrablend detectability`). The first `found` is the predicted recall, the share of the inserted "
+    "objects that it finds, weighted by the sizes of the labelled ones. The second is the actual recall, that of the "
+    "labelled ones. The interval of the difference includes the errors of both; those that hold 0 are counted over all "
+    "conditions with 40 real objects or more."
+)
 _SMOKE = "A smoke run trains for a few steps only, to test that everything runs, and gives no verdicts."
 METRICS = {
     "p": "P", "r": "R", "map10": "mAP10", "map50": "mAP50", "map50_95": "mAP50-95", "as_one50": "AP50, classes as one",
     "as_one50_95": "AP50-95, classes as one", "found": "found", "named": "named of found",
     "false_alarms": "false alarms a picture at recall 0.8", "hota": "HOTA", "mota": "MOTA", "idf1": "IDF1",
+    "recall": "predicted - actual recall",
 }  # fmt: skip
 
 
@@ -90,6 +101,7 @@ def page_text(facts: ExperimentRecord, plots: Sequence[tuple[str, str]] = (), st
         ),
         _CELLS if facts["tables"] else "",
         *_found_lists(evaluations),
+        *_recall(facts.get("detectabilities", {})),
         *(["## Datasets", _datasets_table(facts["datasets"])] if facts["datasets"] else []),
         *(["## Conclusions", _claims_table(facts["checks"])] if facts["checks"] else []),
         _SMOKE if facts["checks"] and facts["scale"] == "smoke" else "",
@@ -155,6 +167,43 @@ def _found_lists(evaluations: Mapping[str, EvaluationFigures]) -> Iterator[str]:
             yield table.markdown()
 
 
+def _recall(measured: Mapping[str, DetectabilityFigures]) -> Iterator[str]:
+    """Yield the section on the recall that inserted objects predict, beside that of real ones."""
+    if not measured:
+        return
+    yield "## Predicted and actual recall"
+    yield _RECALL
+    lines = [
+        [of["title"], of["recipe"], of["trained_on"], f"{of['pictures']:,}", of["kind"], _share(of)]
+        for of in measured.values()
+    ]
+    every = {k: sum(of[k] for of in measured.values()) for k in ("holding", "compared")}
+    head = ["", "Recipe", "Trained on", "Pictures", "Figure", "Intervals that hold 0"]
+    yield Table(head, [*lines, ["all", "", "", "", "", _share(every)]]).markdown()
+    rows = [
+        {**row, "": of["title"], "confidence": f"{row['confidence']:g}", "alarms": f"{row['alarms_per_picture']:.2f}"}
+        for of in measured.values()
+        for row in of["confidences"]
+    ]
+    yield recall_table(rows, ["", "confidence", "alarms"], "").markdown()
+    for by, words in (("time", "time of day"), ("size", "size")):
+        cells = [
+            {**cell, "": of["title"], words: cell["value"]}
+            for of in measured.values()
+            for cell in of["cells"]
+            if cell["by"] == by
+        ]
+        if cells:
+            yield f"### By {words}"
+            yield recall_table(cells, ["", words], "").markdown()
+
+
+def _share(figures: Mapping[str, Any]) -> str:
+    """Return how many intervals hold 0, of how many."""
+    holding, compared = figures["holding"], figures["compared"]
+    return f"{holding} of {compared} ({holding / compared:.2f})" if compared else "-"
+
+
 def _datasets_table(rows: Sequence[DatasetRow]) -> str:
     lines = []
     for r in rows:
@@ -176,13 +225,17 @@ def _claims_table(checks: Sequence[Claim]) -> str:
         verdict = {True: "**yes**", False: "**no**", None: "-"}[c["holds"]]
         if "missing" in c:
             found = c["missing"]
+        elif "cells" in c:
+            found = f"largest {_difference(c['difference'], c['ci'])}: {c['where']}; "
+            found += f"0 inside {c['holding']} of {c['cells']} intervals"
         elif "ratio" in c:
             found = f"{c['ratio']:.3f} = {c['values'][0]:.3f} / {c['values'][1]:.3f}"
         else:
             found = _difference(c["difference"], c["ci"])
             sign = c.get("same_sign")
             found += "" if sign is None else f", sign kept in {100 * sign:.0f} % of the draws"
-        expected = _EXPECTED[c["expect"]].format(least=c.get("least") or 0)
+        form = "share of intervals of at least {least:g}" if "recall_of" in c and c["least"] else _EXPECTED[c["expect"]]
+        expected = form.format(least=c.get("least") or 0, most=c.get("most") or 0)
         lines.append([c["text"], f"{c['class']}, {METRICS[c['metric']]}", expected, found, verdict])
     return Table(["Claim", "Class and metric", "Expected", "Found", "Holds"], lines).markdown()
 

@@ -6,13 +6,20 @@ import json
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.files import load_json, read_object, read_regular, write_bytes, write_json, write_text
 from infrablend.core.output_checks import require_no_foreign
 from infrablend.lab.evaluation.evaluation_record import Curves
-from infrablend.lab.experiments.result_record import ComparisonFigures, ExperimentRecord, TableRow
+from infrablend.lab.experiments.recall_cells import compared_cells
+from infrablend.lab.experiments.result_record import (
+    ComparisonFigures,
+    DetectabilityFigures,
+    ExperimentRecord,
+    TableRow,
+)
 from infrablend.lab.pages.experiment_page import (
     INDEX_FILE,
     METRICS,
@@ -24,8 +31,10 @@ from infrablend.lab.pages.experiment_page import (
     paper_and_ours,
     run_state,
 )
+from infrablend.pipeline.flights.detectability_figures import LEAST_COMPARED
 from infrablend.report.charts import (
     BLUE,
+    COLOURS,
     FAINT,
     INK,
     ORANGE,
@@ -145,7 +154,7 @@ COLUMNS = 4  # panels of curves beside each other
 _SHOWN = ("map50", "map50_95")
 
 
-CHARTS = ("bars", "differences", "pr")
+CHARTS = ("bars", "differences", "pr", "recall")
 """Names of all charts of a page."""
 
 
@@ -153,10 +162,15 @@ def draw_plots(facts: ExperimentRecord) -> list[tuple[str, str, bytes]]:
     """Return (name, title, SVG) of every chart that there are figures for."""
     rows = [(t["title"], r) for t in facts["tables"] for r in t["rows"] if r["ours"] is not None]
     found = {n: e["curves"] for n, e in facts["evaluations"].items() if e.get("curves")}
+    by_class: dict[str, list[DetectabilityFigures]] = {}
+    for of in facts.get("detectabilities", {}).values():
+        if of["compared"]:
+            by_class.setdefault(of["category"], []).append(of)
     charts: tuple[tuple[str, str, Callable[[Any], bytes], Any], ...] = (
         ("bars", "Ours with 95 % intervals, the paper's figures as crosses", _bars, rows),
         ("differences", "Paired differences with 95 % intervals", _forest, facts["comparisons"]),
         ("pr", "Precision over recall at IoU 0.5", _curves, found),
+        ("recall", "Actual over predicted recall, a point per condition with 40 real objects", _recall, by_class),
     )
     return [(name, title, draw(figures)) for name, title, draw, figures in charts if figures]
 
@@ -211,4 +225,20 @@ def _curves(found: Mapping[str, Curves]) -> bytes:
         curves(ax, of["recall"], dict(sorted(of["precision"].items())))
         ax.set(title=plot_text(name), xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
         legend(ax, fontsize=7, loc="lower left")
+    return svg_bytes(figure)
+
+
+def _recall(by_class: Mapping[str, Sequence[DetectabilityFigures]]) -> bytes:
+    figure, axes = panels(1, len(by_class), (3.8 * len(by_class), 4.2))
+    for ax, (category, measured) in zip(axes, by_class.items(), strict=True):
+        ax.plot([0, 1], [0, 1], color=FAINT, lw=0.8)
+        for of, colour in zip(measured, cycle(COLOURS), strict=False):
+            cells: list[Any] = list(compared_cells(of["cells"], LEAST_COMPARED))
+            for c in cells:
+                ax.plot([c["low"], c["high"]], [c["actual"]] * 2, color=colour, lw=0.5, alpha=0.4)
+                ax.plot([c["predicted"]] * 2, [c["actual_low"], c["actual_high"]], color=colour, lw=0.5, alpha=0.4)
+            places = [c["predicted"] for c in cells], [c["actual"] for c in cells]
+            ax.plot(*places, "o", color=colour, ms=3.5, label=plot_text(of["title"]))
+        ax.set(title=plot_text(category), xlabel="predicted", ylabel="actual", xlim=(0, 1), ylim=(0, 1), aspect="equal")
+        legend(ax, fontsize=7, loc="upper left")
     return svg_bytes(figure)

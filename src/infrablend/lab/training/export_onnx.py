@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,9 @@ def export_onnx(weights: Path, record: TrainingRecord) -> Path:
     tile, size = (int(str(settings[k])) for k in ("tile", "image_size"))
     pictures = min(record["prepared"].get("picture_px", _PICTURE_PX), _MOST_PX) if tile else size
     side = max(fitted_size((pictures, pictures), _STRIDE))
-    with tempfile.TemporaryDirectory() as folder, quiet_ultralytics():
+    with tempfile.TemporaryDirectory() as folder, quiet_ultralytics(), warnings.catch_warnings():
+        # torch prefers its new exporter, which needs more packages.
+        warnings.simplefilter("ignore")
         import ultralytics
 
         copy = Path(shutil.copy(weights, folder))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from infrablend.annotation.looseness import Looseness
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
-from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.frame_row import FrameRecord
 from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import TaskResult
@@ -33,6 +33,7 @@ from infrablend.pipeline.plans.plan import PlannedFrame
 from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
+from infrablend.pipeline.plans.sequence_motion import Follow, find_motion
 
 log = logging.getLogger(__name__)
 
@@ -87,6 +88,8 @@ class FramesRequest:
         reading: How to read `data`, if it is a folder.
         execution: Workers, device and renderer.
         extensions: The caller's own sampler and look.
+        dataset: What is in `data`, where it has been read and changed.
+        follow: How the camera moves through a sequence.
     """
 
     recipe: str | Path
@@ -97,6 +100,8 @@ class FramesRequest:
     reading: Reading = READ_ALL
     execution: Execution = DEFAULT_EXECUTION
     extensions: Extensions = NO_EXTENSIONS
+    dataset: Dataset | None = None
+    follow: Follow = find_motion
 
 
 class Frames:
@@ -134,11 +139,13 @@ class Frames:
                     "their folder or video, or leave out objects.N.motion"
                 )
             dataset = source.dataset()
+        elif request.dataset is not None:
+            dataset = request.dataset
         else:
             dataset = dataset_folder.read(source, reading_for(loaded.recipe, request.reading, source))
         self._plan = make_plan(
             loaded.recipe, dataset, request.seed, splits=request.reading.splits, selection=request.selection,
-            recipe_warnings=loaded.warnings, own_boxes=OwnBoxes(dataset, extensions.load),
+            recipe_warnings=loaded.warnings, own_boxes=OwnBoxes(dataset, extensions.load), follow=request.follow,
         )  # fmt: skip
         levels = dataset_levels(self._plan, extensions.load) if self._plan.needs_levels else None
         self._settings = settings_for(self._plan, levels, request.execution, extensions=extensions)

@@ -26,6 +26,7 @@ from infrablend.detection.detections import (
 from infrablend.detection.finder import CONFIDENCE, Finder, load_finder
 from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.maps.height_model import load_rasterio
 from infrablend.formats.pictures.images import load_background
 from infrablend.formats.values import csv_text
 from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
@@ -105,11 +106,13 @@ def detect_objects(
     Raises:
         MissingDependencyError: A package or device is missing.
         ModelError: The detector cannot be used.
-        DatasetError: No picture can be searched, or the height model cannot be used.
+        DatasetError: No picture can be searched.
         OutputError: `out` has something that may not be replaced, or cannot be written.
     """
     require_apart(dataset.root, out)
     problems = list(dataset.problems)
+    if settings.terrain is not None:
+        load_rasterio()
     with workspace(out, "detections", DETECT_FILE, replacing(overwrite)) as space:
         file = file_of(detector)
         if file.suffix.lower() == ".json":

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TypedDict, cast
 
 import numpy as np
 
 from infrablend import __version__
+from infrablend.config.loading import read_recipe
 from infrablend.core.files import write_json, write_text
 from infrablend.core.ground_position import pose_of
 from infrablend.core.tasks import OnProgress, paced
@@ -20,6 +21,7 @@ from infrablend.detection.recall import Z95
 from infrablend.detection.training_origin import TrainingOrigin, training_origin
 from infrablend.detection.truth import image_key, match_classes
 from infrablend.errors import DatasetError, ModelError, Problem
+from infrablend.formats import dataset_folder
 from infrablend.formats.image_groups import group_images
 from infrablend.formats.maps.map_files import write_geojson
 from infrablend.formats.maps.search_sectors import read_sectors
@@ -34,6 +36,7 @@ from infrablend.pipeline.flights.detectability_figures import (
     measured_facts,
     run_trials,
 )
+from infrablend.pipeline.flights.flight_looks import as_flights, motion_by_pose
 from infrablend.pipeline.flights.insert_trials import TrialRules, Trials
 from infrablend.pipeline.flights.search_map import (
     AreaFigures,
@@ -43,6 +46,7 @@ from infrablend.pipeline.flights.search_map import (
     map_detection,
     map_features,
 )
+from infrablend.pipeline.plans.planning import reading_for
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 from infrablend.report.detectability_page import PAGE, detectability_page
@@ -236,7 +240,12 @@ def plan_detectability(request: DetectabilityRequest) -> DetectabilityPlan:
 
 
 def _frames_request(request: DetectabilityRequest) -> FramesRequest:
-    return FramesRequest(
+    """Return the request for the frames; over a flight, every object stays at its place through all pictures.
+
+    Raises:
+        DatasetError: Looks over a flight were asked for, but the pictures or the recipe do not allow them.
+    """
+    plain = FramesRequest(
         request.recipe,
         request.data,
         request.selection,
@@ -245,6 +254,30 @@ def _frames_request(request: DetectabilityRequest) -> FramesRequest:
         request.reading,
         request.execution,
     )
+    if request.settings.looks == "single":
+        return plain
+    recipe = read_recipe(request.recipe, request.recipe_settings).recipe
+    dataset = dataset_folder.read(request.data, reading_for(recipe, request.reading, request.data))
+    plain = replace(plain, dataset=dataset)
+    flight = None if recipe.in_sequences or recipe.placement.mode != "metric" else as_flights(dataset)
+    if flight is None:
+        if request.settings.looks == "flight":
+            found = (
+                "pictures without pose or overlap, or that are numbered frames of a clip; or a recipe without places"
+            )
+            expected = "overlapping pictures with poses, and a recipe with placement.mode: metric and without motion"
+            raise DatasetError(
+                f"{request.data}: no flight", [Problem("looks", "no-flight", found, expected, "take --looks single")]
+            )
+        return plain
+    fields = [f"objects.{k}.motion" for k in range(len(recipe.objects))]
+    given = request.recipe_settings
+    settings: Settings
+    if isinstance(given, Mapping):
+        settings = {**given, **{field: {"kind": "still"} for field in fields}}
+    else:
+        settings = [*given, *(f"{field}={{kind: still}}" for field in fields)]
+    return replace(plain, dataset=flight, settings=settings, follow=motion_by_pose)
 
 
 def _rules(request: DetectabilityRequest, frames: Frames, finder: Finder) -> TrialRules:

@@ -47,6 +47,8 @@ class DetectabilitySettings:
         most_rounds: Most times that each picture is used, each time with other objects.
         group: Pictures whose results depend on each other: image, sequence, date or gap.
         sizes: Sizes of objects to weight by: those of the labelled objects (real), or of the inserted ones (inserted).
+        looks: flight: an object stays at its place through all pictures that show it; single: each picture has its own;
+            auto: flight for pictures with poses that overlap, else single.
         sectors: GeoJSON file with the sectors of a search, to give figures for each.
         cell_m: Side of a cell of the map, metres [default: some 2,500 cells].
 
@@ -61,6 +63,7 @@ class DetectabilitySettings:
     most_rounds: int = 10
     group: Literal["image", "sequence", "date", "gap"] = "image"
     sizes: Literal["real", "inserted"] = "real"
+    looks: Literal["auto", "single", "flight"] = "auto"
     sectors: Path | None = None
     cell_m: float | None = None
 

@@ -134,12 +134,12 @@ class Trials:
             ids = np.array(self.frames.ids, object)
             stream(seed, "detectability", number).shuffle(ids)
             for frame in self.frames.iterate(ids.tolist(), seed + number):
-                self.try_frame(frame)
+                self.try_frame(frame, number)
                 finished += 1
                 yield finished
 
-    def try_frame(self, frame: Frame) -> None:
-        """Search a frame and the picture it was made of."""
+    def try_frame(self, frame: Frame, round_: int = 0) -> None:
+        """Search a frame and the picture it was made of; objects of other rounds are other ones."""
         ours = [i for i in frame.inserted if self.rules.is_class(i.category)]
         self.counts["without_label"] += len(frame.record.facts.get("drops", ()))
         if frame.scene is not None:
@@ -157,7 +157,7 @@ class Trials:
             if taken[k]:
                 self.counts["on_a_detection"] += 1
                 continue
-            self.inserted.append(self._sighting(before.image, instance, scores[k], near[k], frame))
+            self.inserted.append(self._sighting(before.image, instance, scores[k], near[k], frame, round_))
 
     def search(self, image: ImageRecord) -> SearchedPicture | None:
         """Search a picture as it is, once; None if it cannot be read."""
@@ -192,8 +192,9 @@ class Trials:
         return np.array([size for size, _ in pairs], np.float64), [time for _, time in pairs]
 
     def _sighting(
-        self, image: ImageRecord, instance: Instance, score: float, near: float, frame: Frame | None = None
-    ) -> Sighting:
+        self, image: ImageRecord, instance: Instance, score: float, near: float, frame: Frame | None = None,
+        round_: int = 0,
+    ) -> Sighting:  # fmt: skip
         key = image_key(image)
         capture = image.capture
         middle = (instance.box_xyxy[:2] + instance.box_xyxy[2:]) / 2
@@ -214,10 +215,11 @@ class Trials:
             behind = frame.record.facts.get("matching", {}).get("behind", ())
             if number < len(behind):
                 conditions["behind"] = str(behind[number])
-            track = "" if spec.track is None else f"{capture.sequence}/{spec.track}"
+            track = "" if spec.track is None else f"{round_}/{capture.sequence}/{spec.track}"
+        # Looks at the same object depend on each other more than objects of a picture.
         return Sighting(
             key,
-            self.rules.clusters.get(key, key),
+            self.rules.clusters.get(key, track or key),
             _size_px(image, instance),
             float(score),
             float(near),

@@ -32,7 +32,7 @@ from infrablend.core.ground_position import (
 )
 from infrablend.core.mesh import FloatArray
 from infrablend.detection.detections import Detections, Predictions
-from infrablend.errors import Problem
+from infrablend.errors import DatasetError, Problem
 from infrablend.formats.maps.map_files import MapFeature, write_geojson, write_gpx, write_kml
 from infrablend.pipeline.flights.aligned_poses import align_poses
 from infrablend.pipeline.flights.flight_poses import FlightPoses, find_poses
@@ -127,7 +127,6 @@ def place_flight(
 
     Raises:
         MissingDependencyError: A height model is given, and rasterio is not installed.
-        DatasetError: The height model cannot be used.
     """
     shown = {key for key, found in predictions.images.items() if len(found)}
     aligned = align_poses(where, images, find_poses(images, settings.errors), shown)
@@ -135,10 +134,15 @@ def place_flight(
     problems = list(aligned.problems)
     terrain = None
     if settings.terrain is not None and poses.known:
-        poses, terrain = on_terrain(Path(settings.terrain), images, poses, settings.take_off)
+        try:
+            poses, terrain = on_terrain(Path(settings.terrain), images, poses, settings.take_off)
+        except DatasetError as error:
+            # What was found stays, but has no places: those on level ground were not asked for.
+            poses = FlightPoses({}, {}, {})
+            problems += error.problems
         if settings.take_off is None:
             found = "the place of take-off is not known, and is taken to be that of each flight's first picture"
-            problems.append(Problem(where, "take-off", found, "it", "give --take-off LAT,LON", "warning"))
+            problems.append(Problem(where, "take-off", found, "", "give --take-off LAT,LON", "warning"))
     placed, nowhere = place_detections(predictions, poses, terrain)
     for lacking, keys in itertools.groupby(
         sorted(poses.lacking, key=lambda k: (poses.lacking[k], k)), poses.lacking.get

@@ -48,7 +48,7 @@ from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence, RunPla
 from infrablend.pipeline.plans.scenes import CHOICE, choose_scenes
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
 from infrablend.pipeline.plans.sequence_motion import VERSION as MOTION_VERSION
-from infrablend.pipeline.plans.sequence_motion import find_motion, motion_problems, sequences_of
+from infrablend.pipeline.plans.sequence_motion import Follow, find_motion, motion_problems, sequences_of
 from infrablend.pipeline.plans.times import time_warnings, with_clock_times, with_used_times
 from infrablend.pipeline.storage.store import local_folder
 from infrablend.sampling.scene_sampler import require_parts
@@ -78,10 +78,12 @@ def make_plan(
     selection: FrameSelection = ALL_FRAMES,
     recipe_warnings: Sequence[Problem] = (),
     own_boxes: OwnBoxes | None = None,
+    follow: Follow = find_motion,
 ) -> RunPlan:
     """Return the plan of a run on the backgrounds of the requested splits, which `splits` names in messages only.
 
-    `own_boxes` are those of the dataset, where they have been measured before or its pictures are not files.
+    `own_boxes` are those of the dataset, where they have been measured before or its pictures are not files. `follow`
+    says how the camera moves through a sequence.
 
     Raises:
         ArgumentError: The selection names a frame that does not exist.
@@ -141,7 +143,7 @@ def make_plan(
     if recipe.in_sequences:
         require_movable(recipe, models)
         anchors, _ = usable_images(recipe, renamed, renamed.images, stands)
-        sequences, unknown = plan_sequences(renamed, as_read, usable, anchors)
+        sequences, unknown = plan_sequences(renamed, as_read, usable, anchors, follow)
         problems += unknown
     used = replace(renamed, images=tuple(usable))
     categories = _with_new(renamed.categories, classes)
@@ -290,8 +292,9 @@ log = logging.getLogger(__name__)
 
 
 def plan_sequences(
-    dataset: Dataset, as_read: Mapping[int, ImageRecord], used: Sequence[ImageRecord], anchors: Sequence[ImageRecord]
-) -> tuple[dict[str, PlannedSequence], list[Problem]]:
+    dataset: Dataset, as_read: Mapping[int, ImageRecord], used: Sequence[ImageRecord], anchors: Sequence[ImageRecord],
+    follow: Follow = find_motion,
+) -> tuple[dict[str, PlannedSequence], list[Problem]]:  # fmt: skip
     """Return the sequences that some used pictures belong to, by name, and what is not known of them.
 
     Args:
@@ -299,6 +302,7 @@ def plan_sequences(
         as_read: The same with the source's own names of classes, by `id`.
         used: Pictures that a run uses.
         anchors: Those of all pictures that a run could use, and so place objects in.
+        follow: How the camera moves through a sequence.
 
     Raises:
         DatasetError: No picture belongs to a sequence, or a picture cannot be read.
@@ -310,7 +314,7 @@ def plan_sequences(
         if not any((i.split, i.id) in of_use for i in images):
             continue
         log.info("sequence %s: following the camera through %d frames", name, len(images))
-        motion = find_motion(name, images)
+        motion = follow(name, images)
         times = _times_s(images)
         is_timed = times is not None
         if times is None:

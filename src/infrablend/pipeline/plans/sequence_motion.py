@@ -97,6 +97,10 @@ class SequenceMotion:
         }
 
 
+Follow = Callable[[str, Sequence[ImageRecord]], SequenceMotion]
+"""Returns how the camera moves through the pictures of a sequence, given its name."""
+
+
 def sequences_of(dataset: Dataset) -> dict[str, list[ImageRecord]]:
     """Return the pictures of each sequence in the order of their frames; those without sequence or number are left out.
 
