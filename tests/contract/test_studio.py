@@ -17,14 +17,17 @@ from types import SimpleNamespace
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 from tests.lab.pages.test_studio_results import REALISM
+from tests.onnx_files import write_constant
 from tests.run_files import edit_ledger
 from tests.samples import picture
 from tests.studio_runs import frame_record, write_run, write_sequence
 
 from infrablend import api
 from infrablend.config.loading import load_recipe
+from infrablend.formats.pictures.images import png_bytes
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.runs.review_file import Verdict, read_verdicts
 
@@ -308,6 +311,36 @@ def test_a_run_that_changes_while_it_is_open_gets_no_verdict_on_another_frame(ch
 
 def background_of(name: str) -> dict[str, object]:
     return {"id": name, "path": f"{name}.png", "size_wh": [64, 48]}
+
+
+def test_detections_are_judged_by_keyboard(chromium: str, tmp_path: Path) -> None:
+    flight = tmp_path / "flight"
+    flight.mkdir()
+    pixels = np.full((64, 64), 20, np.uint8)
+    for k, level in enumerate((250, 200, 150)):
+        pixels[16 * k : 16 * k + 8, :8] = level
+    (flight / "a.png").write_bytes(png_bytes(pixels))
+    named = {"names": "['person', 'dog']"}
+    outputs = {"output0": np.zeros((1, 6, 84), np.float32)}
+    for k, score in enumerate((0.9, 0.8, 0.7)):
+        outputs["output0"][0, :, k] = [4, 16 * k + 4, 8, 8, score, 0]
+    api.detect(write_constant(tmp_path / "d.onnx", outputs, named), flight, tmp_path / "found")
+    with studio(chromium, tmp_path, "--detections", tmp_path / "found") as opened:
+        page = opened.page
+        for key, number in (("a", 0), ("2", 1), ("r", 2)):
+            page.locator(f'.verdict[data-frame="train/a.png#{number}"][data-verdict=""]').wait_for()
+            page.wait_for_function("document.querySelector('img.picture').naturalWidth === 64")
+            page.keyboard.press(key)
+        page.locator('.verdict[data-frame="train/a.png#2"][data-verdict="reject"]').wait_for()
+        page.keyboard.press("u")
+        page.locator('.verdict[data-frame="train/a.png#2"][data-verdict=""]').wait_for()
+        page.keyboard.press("ArrowLeft")
+        page.locator('.verdict[data-frame="train/a.png#1"][data-verdict="accept"]').wait_for()
+        assert "2 accepted, 0 rejected" in page.content()
+        assert opened.errors == []
+    assert read_verdicts(tmp_path / "found" / "review.json") == {
+        "train/a.png#0": Verdict("accept"), "train/a.png#1": Verdict("accept", category="dog"),
+    }  # fmt: skip
 
 
 def test_two_runs_are_compared_by_keyboard(chromium: str, tmp_path: Path) -> None:

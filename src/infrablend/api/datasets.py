@@ -106,11 +106,16 @@ def convert(
     enlarges the boxes of inserted objects by a factor from 1 to 2, to match hand-drawn boxes, and `loosen_px` moves
     each of their sides outwards by 0 to 32 px.
 
+    Of detections, the folder of `detect`, those that were accepted in the studio become labels.
+
     >>> people = ClassChanges(only="Person")
     >>> convert("hit-uav", "converted", "coco", classes=people).format
     'coco'
     """
-    dataset = read_dataset(source, reading)
+    from infrablend.pipeline.flights.reviewed_detections import accepted_objects, is_detections
+
+    folder = Path(source)
+    dataset = accepted_objects(folder) if is_detections(folder) else read_dataset(folder, reading)
     return convert_dataset(
         dataset,
         to,

@@ -467,11 +467,12 @@ def studio(
     opened: Annotated[
         dict[str, Any],
         Fields(
-            "data run compare results seed",
+            "data run compare detections results seed",
             request=StudioRequest,
             data=typer.Option(metavar="DIR"),
             run=typer.Option(metavar="DIR"),
             compare=typer.Option(metavar="RUN|RECIPE"),
+            detections=typer.Option(metavar="DIR"),
             results=Annotated[list[Path] | None, typer.Option(metavar="DIR"), tuple],
         ),
     ],
@@ -480,7 +481,7 @@ def studio(
     execution: Annotated[api.Execution, Fields("device")],
     reading: ReadingOptions,
 ) -> None:
-    """Open a local page in the browser: review a run, tune a recipe on its backgrounds, compare runs or recipes."""
+    """Open a local page in the browser: review a run or detections, tune recipes, compare runs or recipes."""
     from infrablend.studio.serve import serve
 
     request = StudioRequest(recipe, **opened, reading=reading, execution=replace(execution, workers=1))

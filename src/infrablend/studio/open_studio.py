@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from infrablend.errors import ArgumentError
 from infrablend.studio.comparison import Comparison, RecipeComparison, RunComparison
+from infrablend.studio.opened_detections import OpenedDetections
 from infrablend.studio.opened_run import OpenedRun, RunFrames
 from infrablend.studio.studio_request import StudioRequest
 
@@ -16,10 +17,11 @@ if TYPE_CHECKING:
 
 
 class Session:
-    """An opened run, and recipe and data to tune.
+    """An opened run, opened detections, and recipe and data to tune.
 
     Attributes:
         run: The opened run; None if there is none.
+        detections: The opened detections; None if there are none.
         comparison: Two runs or two recipes to compare; None if there is nothing to compare with.
     """
 
@@ -29,13 +31,14 @@ class Session:
         Raises:
             InfraBlendError: It cannot be opened.
         """
-        if request.run is None and request.data is None:
+        if request.run is None and request.data is None and request.detections is None:
             raise ArgumentError(
-                "neither --run nor --data; expected the folder of a run to review, or of backgrounds to "
-                "tune a recipe on"
+                "neither --run nor --data nor --detections; expected the folder of a run or of detections to review, "
+                "or of backgrounds to tune a recipe on"
             )
         self.request = request
         self.run = None if request.run is None else OpenedRun(request.run, request.results)
+        self.detections = None if request.detections is None else OpenedDetections(request.detections)
         self._tuning: Tuning | None = None
         self._opening = threading.Lock()
         self.comparison: Comparison | None = None
@@ -78,7 +81,7 @@ class Session:
     @property
     def title(self) -> str:
         """Name of what is open."""
-        opened = self.request.run or self.request.data
+        opened = self.request.run or self.request.data or self.request.detections
         return "" if opened is None else opened.resolve().name
 
     def close(self) -> None:

@@ -43,6 +43,7 @@ class StudioRequest:
         data: Folder of the background dataset to tune on.
         run: Run to review: folder that `generate` wrote.
         compare: Second run to compare with that of --run, or second recipe to compare with RECIPE on --data.
+        detections: Detections to review: folder that `detect` wrote.
         results: Folder of a further report on the run, such as an evaluation; repeatable.
         seed: The same seed gives the same bytes.
         reading: How to read `data`.
@@ -53,6 +54,7 @@ class StudioRequest:
     data: Path | None = None
     run: Path | None = None
     compare: str | None = None
+    detections: Path | None = None
     results: tuple[Path, ...] = ()
     seed: int = 0
     reading: Reading = READ_ALL

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
 from infrablend.core.output_checks import require_apart
 from infrablend.core.tasks import OnProgress, paced
@@ -28,6 +29,7 @@ from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.maps.height_model import load_rasterio
 from infrablend.formats.pictures.images import load_background
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.values import csv_text
 from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
 from infrablend.pipeline.flights.flight_objects import FlightObjectFacts, count_flight
@@ -89,6 +91,7 @@ def detect_objects(
     request: DetectRequest = DEFAULT_DETECT,
     settings: PlaceSettings = DEFAULT_PLACES,
     *,
+    reading: Reading = READ_ALL,
     overwrite: bool = False,
     on_progress: OnProgress | None = None,
 ) -> DetectReport:
@@ -100,6 +103,7 @@ def detect_objects(
         out: Folder to write.
         request: How to detect.
         settings: How to place detections on the ground.
+        reading: How the pictures were read, for those who look at the detections later.
         overwrite: Whether to replace earlier detections in `out`.
         on_progress: Called with the number of pictures searched so far.
 
@@ -145,7 +149,8 @@ def detect_objects(
         facts: dict[str, object] = {
             "detector": dict(predictions.facts),
             "classes": list(predictions.classes),
-            "data": str(dataset.root),
+            "data": str(real_path(dataset.root)),
+            "reading": asdict(reading) | {"metadata": reading.metadata and str(real_path(Path(reading.metadata)))},
             "data_name": dataset.root.name,
             "format": dataset.format,
             "confidence": request.confidence,

@@ -21,7 +21,7 @@ from infrablend.detection.recall import Share, difference, weighted_share, weigh
 from infrablend.detection.sightings import Sighting
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.flights.corrected_counts import CountFacts, count_looks
-from infrablend.pipeline.flights.insert_trials import Trials
+from infrablend.pipeline.flights.insert_trials import Trials, stratum
 from infrablend.report.figures import stratum_order
 
 CONFIDENCES = (0.1, 0.25, 0.4)
@@ -135,8 +135,7 @@ class Comparison:
         if sizes is None or not len(sizes.px):
             return cls(inserted, real, np.ones(len(inserted)))
         px = np.array([s.size_px for s in inserted], np.float64)
-        times = [s.conditions["time"] for s in inserted]
-        weights, left_out = weights_of_sizes(px, times, sizes.px, sizes.times)
+        weights, left_out = weights_of_sizes(px, [stratum_of(s) for s in inserted], sizes.px, sizes.strata)
         return cls(inserted, real, weights, left_out)
 
     def predicted(self, confidence: float, score: Callable[[Sighting], float]) -> Share:
@@ -169,11 +168,16 @@ class Sizes:
 
     Attributes:
         px: (n,) longer sides of their boxes, px.
-        times: Their times of day.
+        strata: Their strata, see `insert_trials.stratum`.
     """
 
     px: FloatArray
-    times: Sequence[str]
+    strata: Sequence[str]
+
+
+def stratum_of(sighting: Sighting) -> str:
+    """Return the stratum of an object, see `insert_trials.stratum`."""
+    return stratum(sighting.conditions["time"], sighting.conditions["edge"])
 
 
 def by_overlap(sighting: Sighting) -> float:
@@ -292,7 +296,7 @@ def _cells(
             sizes = None
             if weighted and theirs:
                 px = np.array([s.size_px for s in theirs], np.float64)
-                sizes = Sizes(px, [s.conditions["time"] for s in theirs])
+                sizes = Sizes(px, [stratum_of(s) for s in theirs])
             facts = Comparison.of(ours, theirs, sizes).recall(settings.confidence, by_overlap)
             yield CellFacts(**facts, by=by, value=value)
 

@@ -36,6 +36,8 @@ _VISIBLE = (0.0, 0.5, 0.8, 0.999)
 GROUND_PIXEL_CM = (0.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0)
 """Edges of the ranges of what a pixel covers of the ground, across the line of sight."""
 UNKNOWN_TIME = "unknown"
+# A box that is nearer to the edge of its picture is cut by it: labels end a pixel or two before it.
+_EDGE_PX = 2.0
 
 
 class Finder(Protocol):
@@ -182,14 +184,14 @@ class Trials:
         return [sighting for picture in self.searched.values() for sighting in picture.real]
 
     def labelled_sizes(self) -> tuple[FloatArray, list[str]]:
-        """Return the sizes of all labelled objects of the class, px, and their times of day."""
+        """Return the sizes of all labelled objects of the class, px, and their strata, see `stratum`."""
         pairs = [
-            (_size_px(image, instance), image.capture.time_of_day or UNKNOWN_TIME)
+            (_size_px(image, instance), stratum(image.capture.time_of_day or UNKNOWN_TIME, at_edge(image, instance)))
             for image in self.images()
             for instance in image.instances
             if self.rules.is_class(instance.category) and not instance.is_crowd
         ]
-        return np.array([size for size, _ in pairs], np.float64), [time for _, time in pairs]
+        return np.array([size for size, _ in pairs], np.float64), [name for _, name in pairs]
 
     def _sighting(
         self, image: ImageRecord, instance: Instance, score: float, near: float, frame: Frame | None = None,
@@ -198,7 +200,7 @@ class Trials:
         key = image_key(image)
         capture = image.capture
         middle = (instance.box_xyxy[:2] + instance.box_xyxy[2:]) / 2
-        conditions = look_conditions(image, middle[None])[0]
+        conditions = look_conditions(image, middle[None])[0] | {"edge": at_edge(image, instance)}
         if capture.altitude_m is not None:
             conditions["height"] = f"{capture.altitude_m:.0f} m"
         if capture.pitch_deg is not None:
@@ -242,6 +244,21 @@ def look_conditions(image: ImageRecord, xy: FloatArray) -> list[dict[str, str]]:
         known = {"ground pixel": in_range(100 * ground_m, GROUND_PIXEL_CM, "cm")} if np.isfinite(ground_m) else {}
         found.append(time | known)
     return found
+
+
+def at_edge(image: ImageRecord, instance: Instance) -> str:
+    """Return `cut` for an object whose box reaches the picture's edge, else `whole`."""
+    if image.size_wh is None:
+        return "whole"
+    inner = (instance.box_xyxy[:2] > _EDGE_PX).all() and (
+        instance.box_xyxy[2:] < np.array(image.size_wh) - _EDGE_PX
+    ).all()
+    return "whole" if inner else "cut"
+
+
+def stratum(time: str, edge: str) -> str:
+    """Return the name of the objects that are compared with each other: those of a time of day, cut ones apart."""
+    return f"{time}, {edge}"
 
 
 def in_range(value: float, edges: Sequence[float], unit: str = "") -> str:

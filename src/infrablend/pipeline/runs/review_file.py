@@ -1,4 +1,4 @@
-"""Reads and writes `review.json` in the folder of a run: accepted and rejected frames, with reasons."""
+"""Reads and writes `review.json` in the folder of a run, or of detections: what is accepted and rejected, and why."""
 
 from __future__ import annotations
 
@@ -15,15 +15,17 @@ REVIEW_FILE = "review.json"
 
 @dataclass(frozen=True)
 class Verdict:
-    """A verdict on a frame.
+    """A verdict on a frame, or on a detection.
 
     Attributes:
         word: `accept` or `reject`.
         reason: Reason in words; may be empty.
+        category: Class that an accepted detection has instead of the detector's; empty for that.
     """
 
     word: Literal["accept", "reject"]
     reason: str = ""
+    category: str = ""
 
 
 def read_verdicts(path: Path) -> dict[str, Verdict]:
@@ -34,7 +36,10 @@ def read_verdicts(path: Path) -> dict[str, Verdict]:
     """
     try:
         frames: Mapping[str, Any] = load_json(path)["frames"]
-        found = {str(k): Verdict(v["verdict"], str(v.get("reason") or "")) for k, v in frames.items()}
+        found = {
+            str(k): Verdict(v["verdict"], str(v.get("reason") or ""), str(v.get("class") or ""))
+            for k, v in frames.items()
+        }
         wrong = sorted({str(v.word) for v in found.values()} - {"accept", "reject"})
         if wrong:
             raise ValueError(f"verdict {wrong[0]!r}")
@@ -53,7 +58,7 @@ def write_verdicts(path: Path, verdicts: Mapping[str, Verdict]) -> None:
         OutputError: The file cannot be written.
     """
     frames = {
-        frame_id: {"verdict": verdict.word, **({"reason": verdict.reason} if verdict.reason else {})}
-        for frame_id, verdict in verdicts.items()
+        frame_id: {"verdict": v.word} | {k: t for k, t in (("reason", v.reason), ("class", v.category)) if t}
+        for frame_id, v in verdicts.items()
     }
     write_json(path, {"frames": frames}, indent=1, durable=True)

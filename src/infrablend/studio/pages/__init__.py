@@ -9,7 +9,7 @@ from starlette.responses import RedirectResponse, Response
 from infrablend.errors import InfraBlendError
 from infrablend.studio.open_studio import Session
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages import compare, layout, review, routes, sequence_page
+from infrablend.studio.pages import compare, found_page, layout, review, routes, sequence_page
 
 
 def add_pages(session: Session) -> None:
@@ -22,6 +22,15 @@ def add_pages(session: Session) -> None:
 
     if session.run is not None:
         _add_run_pages(session, session.run)
+    detections = session.detections
+    if detections is not None:
+        found_page.add_routes(detections)
+
+        @ui.page("/found")
+        def detections_page(request: Request) -> None:
+            with layout.page_frame(session, request, "/found", "Detections"):
+                found_page.DetectionsPage(detections)
+
     _add_tune_page(session)
 
     comparison = session.comparison

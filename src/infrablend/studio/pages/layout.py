@@ -35,7 +35,10 @@ def pages_of(session: Session) -> dict[str, str]:
         if session.run.has_sequences:
             found["/sequences"] = "Sequences"
         found |= {"/losses": "Lost labels", "/results": "Results"}
-    found["/tune"] = "Tune"
+    if session.detections is not None:
+        found["/found"] = "Detections"
+    if session.run is not None or session.request.data is not None:
+        found["/tune"] = "Tune"
     if session.comparison is not None:
         found["/compare"] = "Compare"
     return found
