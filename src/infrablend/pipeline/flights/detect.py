@@ -32,6 +32,7 @@ from infrablend.formats.pictures.images import load_background
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.values import csv_text
 from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
+from infrablend.pipeline.flights.flight_objects import FlightObjectFacts, count_flight
 from infrablend.pipeline.flights.place_settings import DEFAULT_PLACES, PlaceSettings
 from infrablend.pipeline.flights.placed_detections import FlightPlaces, draw_maps, place_flight, write_maps
 from infrablend.report.detections_page import PAGE, detections_page
@@ -39,7 +40,7 @@ from infrablend.report.detections_page import PAGE, detections_page
 TABLE = "detections.csv"
 COLUMNS = (
     "picture", "time", "left", "top", "right", "bottom", "class", "score", "track", "latitude", "longitude",
-    "ellipse_long_m", "ellipse_short_m", "ellipse_bearing_deg",
+    "ellipse_long_m", "ellipse_short_m", "ellipse_bearing_deg", "object",
 )  # fmt: skip
 
 
@@ -54,6 +55,7 @@ class DetectReport:
         with_some: Number of pictures with such a detection.
         placed: Number of these detections that have a place on the ground.
         problems: Pictures that were not searched, each with its reason, and warnings.
+        objects: The objects behind these detections; None without places.
     """
 
     out: Path
@@ -62,6 +64,7 @@ class DetectReport:
     with_some: int
     placed: int
     problems: tuple[Problem, ...] = field(default=())
+    objects: FlightObjectFacts | None = None
 
     @property
     def ok(self) -> bool:
@@ -76,6 +79,7 @@ class DetectReport:
             "found": dict(self.found),
             "with_some": self.with_some,
             "placed": self.placed,
+            "objects": self.objects,
             "problems": [p.to_json() for p in self.problems],
         }
 
@@ -132,12 +136,16 @@ def detect_objects(
         places = place_flight(dataset.root.name, searched, replace(predictions, images=shown), settings)
         problems += (*places.problems, *_remarks(predictions, total, request.confidence))
         write_predictions(space.folder / PREDICTIONS, predictions)
-        write_text(space.folder / TABLE, _table(searched, shown, predictions.classes, places))
+        kept = replace(predictions, images=shown)
+        objects = count_flight(places.joined, kept, searched, places.joining, settings.speed) if places.joined else None
+        write_text(space.folder / TABLE, _table(searched, shown, predictions.classes, places, objects))
         if places.poses.known:
             write_maps(space.folder, places.poses, places.placed)
         with_some = sum(bool(len(found)) for found in shown.values())
         counts = {name: total[name] for name in predictions.classes if total[name]}
-        report = DetectReport(out, len(predictions.images), counts, with_some, len(places.placed), tuple(problems))
+        report = DetectReport(
+            out, len(predictions.images), counts, with_some, len(places.placed), tuple(problems), objects
+        )
         facts: dict[str, object] = {
             "detector": dict(predictions.facts),
             "classes": list(predictions.classes),
@@ -248,10 +256,15 @@ def _remarks(predictions: Predictions, total: Mapping[str, int], confidence: flo
 
 
 def _table(
-    images: Sequence[ImageRecord], shown: Mapping[str, Detections], classes: Sequence[str], places: FlightPlaces
+    images: Sequence[ImageRecord],
+    shown: Mapping[str, Detections],
+    classes: Sequence[str],
+    places: FlightPlaces,
+    objects: FlightObjectFacts | None,
 ) -> str:
     """Return the table of detections, picture by picture, those of a picture by descending score."""
     placed = {(p.picture, p.number): p for p in places.placed}
+    object_of = {name: o["number"] for o in (objects["objects"] if objects else ()) for name in o["sightings"]}
     rows: list[tuple[object, ...]] = []
     for image in images:
         key = image_key(image)
@@ -259,7 +272,18 @@ def _table(
         for k, (box, of) in enumerate(zip(found.boxes_xyxy.tolist(), found.classes.tolist(), strict=True)):
             at = placed.get((key, k))
             place = [""] * 5 if at is None else at.table_cells()
-            rows.append((key, time_text(image), *box, classes[of], float(found.scores[k]), "", *place))
+            rows.append(
+                (
+                    key,
+                    time_text(image),
+                    *box,
+                    classes[of],
+                    float(found.scores[k]),
+                    "",
+                    *place,
+                    object_of.get(f"{key} {k}", ""),
+                )
+            )
     return csv_text(COLUMNS, rows)
 
 

@@ -34,6 +34,7 @@ from infrablend.core.mesh import FloatArray
 from infrablend.detection.detections import Detections, Predictions
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.maps.map_files import MapFeature, write_geojson, write_gpx, write_kml
+from infrablend.pipeline.flights.aligned_poses import align_poses
 from infrablend.pipeline.flights.flight_poses import FlightPoses, find_poses
 from infrablend.pipeline.flights.place_settings import PlaceSettings
 from infrablend.pipeline.flights.terrain import Terrain, on_terrain
@@ -85,11 +86,15 @@ class FlightPlaces:
         poses: Poses of its pictures.
         placed: Detections that have a place.
         problems: Warnings about pictures and detections without one, and about what is taken for granted.
+        joining: Poses by which pictures are compared with each other, see `aligned_poses`.
+        joined: The detections that have a place, by these.
     """
 
     poses: FlightPoses
     placed: Sequence[PlacedDetection]
     problems: Sequence[Problem]
+    joining: FlightPoses
+    joined: Sequence[PlacedDetection]
 
     def stated_errors(self) -> list[tuple[str, float, str, int]]:
         """Return the standard errors that ellipses follow from: name, value, source and number of pictures."""
@@ -123,8 +128,10 @@ def place_flight(
     Raises:
         MissingDependencyError: A height model is given, and rasterio is not installed.
     """
-    poses = find_poses(images, settings.errors)
-    problems: list[Problem] = []
+    shown = {key for key, found in predictions.images.items() if len(found)}
+    aligned = align_poses(where, images, find_poses(images, settings.errors), shown)
+    poses = aligned.poses
+    problems = list(aligned.problems)
     terrain = None
     if settings.terrain is not None and poses.known:
         try:
@@ -148,7 +155,9 @@ def place_flight(
         found = f"no place for {nowhere} of {nowhere + len(placed)} detections in pictures on the map"
         expected = f"ground {LEAST_DEPRESSION_DEG:g} degrees or more below the horizon, and in the height model"
         problems.append(Problem(where, "no-place", found, expected, severity="warning"))
-    return FlightPlaces(poses, placed, problems)
+    joining = replace(aligned.own, known={k: aligned.own.known[k] for k in poses.known}, frames=poses.frames)
+    joined, _ = place_detections(predictions, joining, terrain)
+    return FlightPlaces(poses, placed, problems, joining, joined)
 
 
 def place_detections(
