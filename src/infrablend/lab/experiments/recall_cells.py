@@ -61,7 +61,7 @@ def check_recall(
     claim["least"] = check.least
     claim["most"] = check.most
     claim["metric"] = "recall"
-    claim["class"] = ", ".join(dict.fromkeys(measured[n]["category"] for n in names if n in measured))
+    claim["class"] = ", ".join(dict.fromkeys(measured[n]["category"] for n in names if n in measured)) or "all"
     if lacking := [n for n in names or wanted.of if n not in measured]:
         claim["missing"] = next((left_out[n] for n in lacking if n in left_out), "not run yet")
         return

@@ -186,6 +186,7 @@ def _recall(measured: Mapping[str, DetectabilityFigures]) -> Iterator[str]:
         for row in of["confidences"]
     ]
     yield recall_table(rows, ["", "confidence", "alarms"], "").markdown()
+    confidence = next(iter(measured.values()))["confidence"]
     for by, words in (("time", "time of day"), ("size", "size")):
         cells = [
             {**cell, "": of["title"], words: cell["value"]}
@@ -194,7 +195,7 @@ def _recall(measured: Mapping[str, DetectabilityFigures]) -> Iterator[str]:
             if cell["by"] == by
         ]
         if cells:
-            yield f"### By {words}"
+            yield f"### By {words}, at confidence {confidence:g}"
             yield recall_table(cells, ["", words], "").markdown()
 
 
