@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import cast
 
+from infrablend.detection.detectability_record import CellFacts, DetectabilityFacts
 from infrablend.lab.experiments.definition import Check, Detectability, RecallCells
 from infrablend.lab.experiments.graph import OTHER_SCALES
 from infrablend.lab.experiments.result_record import Claim, DetectabilityFigures
-from infrablend.pipeline.flights.detectability import DetectabilityFacts
-from infrablend.pipeline.flights.detectability_figures import LEAST_COMPARED, CellFacts
+from infrablend.pipeline.flights.detectability_figures import LEAST_COMPARED
 
 
 def detectability_figures(name: str, spec: Detectability, facts: DetectabilityFacts) -> DetectabilityFigures:

@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
 
 import numpy as np
 
+from infrablend.detection.detectability_record import CountFacts
 from infrablend.detection.recall import NONE, Z95, Share, weighted_share
 from infrablend.detection.sightings import Sighting
 from infrablend.pipeline.flights.insert_trials import SearchedPicture, Trials, look_conditions
@@ -24,21 +24,6 @@ _LEAST_EFFECTIVE = 10.0
 
 LookKey = tuple[str, str]
 """Time of day and range of ground pixel sizes of a look; empty where the latter is unknown."""
-
-
-class CountFacts(TypedDict):
-    """Objects counted, each once for each picture that shows it.
-
-    `detections` are those counted: of labelled objects (`of` is `labelled`) or all (`all`, some of which may be false
-    alarms); `corrected` is the estimate of the objects, with its interval, which includes the error of p; it is None
-    where p is unknown or 0.
-    """
-
-    of: str
-    detections: int
-    corrected: float | None
-    low: float | None
-    high: float | None
 
 
 class LookShares:
