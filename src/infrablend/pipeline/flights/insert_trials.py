@@ -201,8 +201,6 @@ class Trials:
         capture = image.capture
         middle = (instance.box_xyxy[:2] + instance.box_xyxy[2:]) / 2
         conditions = look_conditions(image, middle[None])[0] | {"edge": at_edge(image, instance)}
-        if capture.altitude_m is not None:
-            conditions["height"] = f"{capture.altitude_m:.0f} m"
         if capture.pitch_deg is not None:
             conditions["pitch"] = f"{capture.pitch_deg:.0f} degrees"
         track = ""
@@ -233,16 +231,18 @@ class Trials:
 def look_conditions(image: ImageRecord, xy: FloatArray) -> list[dict[str, str]]:
     """Return what is known of a look at each of (n, 2) places of a picture, px, whatever is there.
 
-    The time of day, and the ground that a pixel covers where the camera's pose is known.
+    The time of day, the height of the camera, and the ground that a pixel covers where the camera's pose is known.
     """
-    time = {"time": image.capture.time_of_day or UNKNOWN_TIME}
+    of_all = {"time": image.capture.time_of_day or UNKNOWN_TIME}
+    if image.capture.altitude_m is not None:
+        of_all["height"] = f"{image.capture.altitude_m:.0f} m"
     pose = pose_of(image)
     if isinstance(pose, str):
-        return [dict(time) for _ in xy]
+        return [dict(of_all) for _ in xy]
     found = []
     for ground_m in ground_pixel_m(pose, xy):
         known = {"ground pixel": in_range(100 * ground_m, GROUND_PIXEL_CM, "cm")} if np.isfinite(ground_m) else {}
-        found.append(time | known)
+        found.append(of_all | known)
     return found
 
 
