@@ -39,15 +39,9 @@ def detect(
     """
     dataset = read_dataset(data, reading)
     return detect_objects(
-        Path(detector),
-        dataset,
-        Path(out),
-        request,
-        places,
-        reading=reading,
-        overwrite=overwrite,
-        on_progress=on_progress,
-    )
+        Path(detector), dataset, Path(out), request, places,
+        reading=reading, overwrite=overwrite, on_progress=on_progress,
+    )  # fmt: skip
 
 
 def detectability(

@@ -25,7 +25,8 @@ from infrablend.cli.output import print_problems, show_report, show_result, show
 from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.flights.detectability import DetectabilityFacts, DetectabilityPlan
+    from infrablend.detection.detectability_record import DetectabilityFacts
+    from infrablend.pipeline.flights.detectability import DetectabilityPlan
 
 
 def _pose_errors(texts: list[str] | None) -> api.PoseErrors:

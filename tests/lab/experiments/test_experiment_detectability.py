@@ -240,7 +240,11 @@ def test_a_run_measures_each_detector_and_shows_the_figures(
     assert facts["detectabilities"]["people-1"]["title"] == "People, seed 2"
     assert facts["detectabilities"]["cars"]["title"] == "cars"
     page = report.page.read_text("utf-8")
-    assert "## Predicted and actual recall" in page and "### By time of day" in page and "### By size" in page
+    assert (
+        "## Predicted and actual recall" in page
+        and "### By time of day, at confidence 0.25" in page
+        and "### By size" in page
+    )
     assert "| People | hit-uav-people | 2,000 real and 0 inserted objects | 579 | measured | 2 of 3 (0.67) |" in page
     assert "| all |  |  |  |  | 6 of 9 (0.67) |" in page
     assert "| People | 0.1 | 1.25 | 300 | 0.909 |" in page
