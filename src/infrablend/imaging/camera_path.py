@@ -8,7 +8,7 @@ the keys of before.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -16,7 +16,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.imaging.camera_shift import LEAST_CORNERS, Matrix, View, find_levels, find_shift, moved
+from infrablend.imaging.camera_shift import (
+    LEAST_CORNERS,
+    Matrix,
+    Shift,
+    View,
+    find_levels,
+    find_shift,
+    match_features,
+    moved,
+)
 
 State = Literal["first", "followed", "frozen", "bridged", "lost", "cut"]
 """How a frame is known: `first` of its span, after a gap too; `followed` from other frames; `frozen`: the picture of
@@ -41,12 +50,17 @@ _SAME_LEVELS = 0.15
 BRIDGE = 3
 # A movement whose error at a corner of the picture is larger, px, is none.
 MOST_ERROR_PX = 3.0
+# Where frames state how far they are apart, they may show it by this share of their shorter side otherwise.
+_MOST_OFF = 0.3
 # A scene is another one if small pictures of it, so many px wide, correlate less than this.
 _SMALL_PX = 32
 _ALIKE = 0.5
 _IDENTITY = np.eye(3)
 # From OpenCV's pixels, where the middle of the first is at 0.
 _HALF = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+
+Expected = Callable[[int, int], tuple[float, float] | None]
+"""Returns at which pixel a frame should show the middle of an earlier one, by both numbers; None if that is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,24 +104,34 @@ class _Key:
     moment: Moment
 
 
-def follow_camera(views: Iterable[View]) -> list[Moment]:
-    """Return what is known of the camera in each frame of a sequence, in their order."""
-    return [replace(m, to_first=_HALF @ m.to_first @ np.linalg.inv(_HALF)) for m in _bridged(list(_moments(views)))]
+def _unknown(one: int, other: int) -> tuple[float, float] | None:
+    return None
 
 
-def _moments(views: Iterable[View]) -> Iterator[Moment]:
+def follow_camera(views: Iterable[View], expected: Expected = _unknown) -> list[Moment]:
+    """Return what is known of the camera in each frame of a sequence, in their order.
+
+    Args:
+        views: The pictures.
+        expected: What is stated of where frames show the middle of others, for frames far from each other.
+    """
+    moments = _bridged(list(_moments(views, expected)))
+    return [replace(m, to_first=_HALF @ m.to_first @ np.linalg.inv(_HALF)) for m in moments]
+
+
+def _moments(views: Iterable[View], expected: Expected) -> Iterator[Moment]:
     keys: list[_Key] = []
     known: _Key | None = None  # last frame that is known
     before: _Key | None = None  # frame before, known or not
-    spans = lost = 0
-    for view in views:
+    spans = lost = of_known = 0
+    for number, view in enumerate(views):
         # Another picture size is another camera.
         resized = any(k is not None and k.view.size_wh != view.size_wh for k in (before, known))
         found: Moment | None = None
         if before is not None and not resized and _same(before.view, view):
             found = replace(before.moment, state="frozen") if before.moment.known or lost < BRIDGE else None
         elif known is not None and not resized:
-            found = _followed(keys, known, view)
+            found = _followed(keys, known, view, expected(of_known, number))
         if found is None:
             state: State = "lost"
             if len(view.corners) < LEAST_CORNERS:
@@ -123,15 +147,18 @@ def _moments(views: Iterable[View]) -> Iterator[Moment]:
         before = _Key(view, replace(found, sharpness=_sharpness(view)))
         if before.moment.known:
             known = before
+            of_known = number
             lost = 0
         else:
             lost += 1
         yield before.moment
 
 
-def _followed(keys: list[_Key], before: _Key, view: View) -> Moment | None:
+def _followed(keys: list[_Key], before: _Key, view: View, expected: tuple[float, float] | None) -> Moment | None:
     """Return a frame by the one before and by a key; None if neither tells."""
     stepped = _relative(before, view, before.moment.to_first)
+    if stepped is None and expected is not None:
+        stepped = _by_features(before, view, expected)
     seen = _by_key(keys, before, view, (stepped or before.moment).to_first)
     if stepped is None or seen is None:
         return stepped or seen
@@ -182,9 +209,22 @@ def _in_view(key: _Key, guess: Matrix) -> float:
     return float(((there >= 0) & (there < key.view.size_wh)).all(axis=1).mean())
 
 
+def _by_features(before: _Key, view: View, expected: tuple[float, float]) -> Moment | None:
+    """Return a frame by features that the one before has, too; None unless it moved about as it states."""
+    shift = match_features(before.view, view)
+    if shift is None:
+        return None
+    size = np.array(view.size_wh)
+    off = moved(size[None] / 2, shift.matrix)[0] - expected
+    return _by_shift(before, view, shift) if np.linalg.norm(off) <= _MOST_OFF * size.min() else None
+
+
 def _relative(key: _Key, view: View, guess: Matrix) -> Moment | None:
     """Return a frame relative to the first of its span, by way of a key."""
-    shift = find_shift(key.view, view, np.linalg.inv(guess) @ key.moment.to_first)
+    return _by_shift(key, view, find_shift(key.view, view, np.linalg.inv(guess) @ key.moment.to_first))
+
+
+def _by_shift(key: _Key, view: View, shift: Shift | None) -> Moment | None:
     if shift is None or shift.error_px > MOST_ERROR_PX:
         return None
     gain, offset = find_levels(key.view, view, shift.matrix)

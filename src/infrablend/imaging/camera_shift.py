@@ -38,6 +38,12 @@ _FIT_PX = 1.0
 # ... and has to fit this number and this share of the followed ones.
 LEAST_CORNERS = 12
 _LEAST_SHARE = 0.5
+# Features of a picture, their least contrast, how much nearer a match has to be than the second best, and by how much
+# a model may miss it, px.
+_FEATURES = 1500
+_CONTRAST = 0.02
+_RATIO = 0.8
+_MATCH_PX = 3.0
 # Errors that all corners share, px.
 _BIAS_PX = 0.015
 # Change of size beyond which a model is no movement of a camera.
@@ -76,6 +82,15 @@ class View:
     def corners(self) -> Points:
         """Corners of the background; none in plain sky."""
         return find_corners(self)
+
+    @cached_property
+    def features(self) -> tuple[Points, NDArray[np.uint8]]:
+        """(n, 2) pixels and (n, 128) descriptors of what stands out; they are whole numbers."""
+        finder = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
+        points, descriptors = finder.detectAndCompute(self.grey, (~self.blocked).astype(np.uint8))
+        if descriptors is None:
+            return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.uint8)
+        return np.array([p.pt for p in points], np.float32), np.asarray(descriptors, np.uint8)
 
     @cached_property
     def smooth(self) -> NDArray[np.float32]:
@@ -155,6 +170,33 @@ def find_shift(first: View, second: View, guess: Matrix) -> Shift | None:
     seen = _seen_from(second, guess, first.size_wh)
     found = _shift(first, seen, np.eye(3)) or _shift(first, _levelled(seen, first), np.eye(3))
     return None if found is None else replace(found, matrix=_scaled(guess @ found.matrix))
+
+
+def match_features(first: View, second: View) -> Shift | None:
+    """Return the movement between two views without knowing it about, by features; None if it is not certain."""
+    (begin, of_begin), (end, of_end) = first.features, second.features
+    if min(len(begin), len(end)) < LEAST_CORNERS:
+        return None
+    near = cv2.BFMatcher().knnMatch(of_begin.astype(np.float32), of_end.astype(np.float32), k=2)
+    pairs = [m for m, other in near if m.distance < _RATIO * other.distance]
+    if len(pairs) < LEAST_CORNERS:
+        return None
+    a, b = begin[[m.queryIdx for m in pairs]], end[[m.trainIdx for m in pairs]]
+    found, fitting = cv2.estimateAffinePartial2D(a, b, ransacReprojThreshold=_MATCH_PX, refineIters=20)
+    if (
+        found is None
+        or fitting.sum() < LEAST_CORNERS
+        or abs(np.sqrt(abs(np.linalg.det(found[:, :2]))) - 1) > _MOST_ZOOM
+    ):
+        return None
+    matrix = np.vstack([found, [0, 0, 1]]).astype(np.float64)
+    # Corners that are followed tell it more exactly, if they can be.
+    if (shift := find_shift(first, second, matrix)) is not None:
+        return shift
+    fits = fitting[:, 0] > 0
+    apart = np.linalg.norm(moved(a[fits], matrix) - b[fits], axis=1)
+    error = matrix_error(a[fits], apart, first.size_wh)
+    return Shift(matrix, len(pairs), int(fits.sum()), float(np.median(apart)), error)
 
 
 def _seen_from(view: View, matrix: Matrix, size_wh: tuple[int, int]) -> View:

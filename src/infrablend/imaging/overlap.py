@@ -13,32 +13,28 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TypedDict
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.imaging.camera_shift import LEAST_CORNERS, Matrix, View, find_shift, matrix_error, moved
+from infrablend.core.camera import STRAIGHT_DOWN_DEG
+from infrablend.core.capture import Capture
+from infrablend.core.ground_position import LocalFrame
+from infrablend.imaging.camera_shift import Matrix, View, match_features
 
 Complex = NDArray[np.complex128]
 
 # Pictures may look so far from straight down, degrees.
 MOST_TILT_DEG = 5.0
-# Features of a picture, their least contrast, and how much nearer a match has to be than the second best.
-_FEATURES = 1500
-_CONTRAST = 0.02
-_RATIO = 0.8
-# A similarity fits matches that it misses by at most this, px, and changes size by at most this share.
-_FIT_PX = 3.0
-_MOST_ZOOM = 0.25
 # Pictures are neighbours if their middles are at most this share of the picture's shorter side apart ...
 _NEAR = 0.6
 # ... and none of two is of use that are nearer than this.
 _APART = 0.1
 # The field of view that is taken for finding neighbours where none is stated.
 _USUAL_HFOV_DEG = 45.0
+# How far pictures are apart, as a share of their shorter side, where no height is stated.
+_USUAL_STEP = 0.3
 # Fewer positions tell nothing.
 _LEAST = 4
 # Pairs and positions are left out that miss the fit by more than so many times the median deviation, and by this, m.
@@ -69,26 +65,6 @@ class Place:
     yaw_deg: float
     height_m: float
     tilt_deg: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Look:
-    """A picture, with its features.
-
-    Attributes:
-        view: The picture.
-    """
-
-    view: View
-
-    @cached_property
-    def features(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """(n, 2) pixels and (n, 128) descriptors, which are whole numbers."""
-        finder = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
-        points, descriptors = finder.detectAndCompute(self.view.grey, (~self.view.blocked).astype(np.uint8))
-        if descriptors is None:
-            return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.uint8)
-        return np.array([p.pt for p in points], np.float32), np.asarray(descriptors, np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +161,40 @@ def shorter_side(size_wh: tuple[int, int], hfov_deg: float | None) -> float:
     return 2 * math.tan(math.radians(hfov_deg or _USUAL_HFOV_DEG) / 2) / size_wh[0] * min(size_wh)
 
 
+def looks_down(c: Capture) -> bool:
+    """Whether a picture states that it looks straight down, in which direction and from where."""
+    known = c.place is not None and c.yaw_deg is not None and c.pitch_deg is not None
+    return known and abs(STRAIGHT_DOWN_DEG - (c.pitch_deg or 0.0)) <= MOST_TILT_DEG
+
+
+def places_of(captures: Sequence[Capture], size_wh: tuple[int, int]) -> list[Place]:
+    """Return what pictures state for which `looks_down`, in metres of the first one.
+
+    Unless all state their height, it is taken to be such that pictures overlap by 70 %; the ground pixel does not
+    depend on it.
+    """
+    origin = captures[0].place
+    assert origin is not None
+    at = LocalFrame(*origin).to_metres(*np.array([c.place for c in captures], np.float64).T)
+    heights = [c.altitude_m for c in captures]
+    if None in heights:
+        step = float(np.median(np.linalg.norm(np.diff(at, axis=0), axis=1)))
+        heights = [step / _USUAL_STEP / shorter_side(size_wh, captures[0].hfov_deg)] * len(captures)
+    found = []
+    for c, (east, north), height in zip(captures, at.tolist(), heights, strict=True):
+        assert c.pitch_deg is not None and c.yaw_deg is not None and height is not None
+        # Straight down, a roll only turns the picture.
+        found.append(Place(east, north, c.yaw_deg + (c.roll_deg or 0.0), height, STRAIGHT_DOWN_DEG - c.pitch_deg))
+    return found
+
+
+def seen_middle(one: Place, other: Place, size_wh: tuple[int, int], hfov_deg: float) -> tuple[float, float]:
+    """Return at which pixel a picture shows the middle of one before, by what both state."""
+    way = complex(one.east_m - other.east_m, one.north_m - other.north_m) * np.exp(1j * math.radians(other.yaw_deg))
+    way /= 2 * math.tan(math.radians(hfov_deg) / 2) / size_wh[0] * other.height_m
+    return size_wh[0] / 2 + way.real, size_wh[1] / 2 - way.imag
+
+
 def neighbours(places: Sequence[Place], size_wh: tuple[int, int], hfov_deg: float | None) -> Iterator[tuple[int, int]]:
     """Yield pairs of pictures that show much of the same ground: those that follow each other first, near ones next."""
     at = np.array([complex(p.east_m, p.north_m) for p in places])
@@ -196,28 +206,10 @@ def neighbours(places: Sequence[Place], size_wh: tuple[int, int], hfov_deg: floa
     yield from zip(first[order].tolist(), second[order].tolist(), strict=True)
 
 
-def find_link(first: int, second: int, looks: Sequence[Look]) -> Link | None:
-    """Return the movement between two pictures by their features; None if these do not show it with certainty."""
-    one, other = looks[first], looks[second]
-    (begin, of_begin), (end, of_end) = one.features, other.features
-    if min(len(begin), len(end)) < LEAST_CORNERS:
-        return None
-    near = cv2.BFMatcher().knnMatch(of_begin.astype(np.float32), of_end.astype(np.float32), k=2)
-    pairs = [m for m, next_best in near if m.distance < _RATIO * next_best.distance]
-    if len(pairs) < LEAST_CORNERS:
-        return None
-    a, b = begin[[m.queryIdx for m in pairs]], end[[m.trainIdx for m in pairs]]
-    found, fits = cv2.estimateAffinePartial2D(a, b, ransacReprojThreshold=_FIT_PX, refineIters=20)
-    if found is None or fits.sum() < LEAST_CORNERS or abs(math.sqrt(abs(np.linalg.det(found[:, :2]))) - 1) > _MOST_ZOOM:
-        return None
-    matrix = np.vstack([found, [0, 0, 1]]).astype(np.float64)
-    # Corners that are followed tell it more exactly than features, if they can be.
-    shift = find_shift(one.view, other.view, matrix)
-    if shift is not None:
-        return Link(first, second, shift.matrix, shift.error_px)
-    a, b = (v[fits[:, 0] > 0] for v in (a, b))
-    error = matrix_error(a, np.linalg.norm(moved(a, matrix) - b, axis=1), one.view.size_wh)
-    return Link(first, second, matrix, error)
+def find_link(first: int, second: int, views: Sequence[View]) -> Link | None:
+    """Return the movement between two pictures; None if these do not show it with certainty."""
+    shift = match_features(views[first], views[second])
+    return None if shift is None else Link(first, second, shift.matrix, shift.error_px)
 
 
 def fit_overlap(places: Sequence[Place], links: Sequence[Link], size_wh: tuple[int, int]) -> Overlap | str:

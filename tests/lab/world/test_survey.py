@@ -19,7 +19,9 @@ from infrablend.detection.detections import Detections, Predictions
 from infrablend.detection.truth import image_key
 from infrablend.errors import ArgumentError, RecipeError
 from infrablend.formats.labels import coco
-from infrablend.imaging.overlap import Look, Overlap, Place, find_link, fit_overlap, neighbours
+from infrablend.imaging.camera_path import follow_camera
+from infrablend.imaging.camera_shift import moved
+from infrablend.imaging.overlap import Overlap, Place, find_link, fit_overlap, neighbours
 from infrablend.lab.world import world_flight, world_survey
 from infrablend.lab.world.frame_files import FinishedFrame, Label
 from infrablend.lab.world.ground import ground_kelvin
@@ -30,7 +32,7 @@ from infrablend.lab.world.world_survey import begin_survey, find_stations, surve
 from infrablend.pipeline.flights.flight_objects import count_flight
 from infrablend.pipeline.flights.place_settings import PlaceSettings
 from infrablend.pipeline.flights.placed_detections import place_flight
-from infrablend.pipeline.plans.sequence_motion import sequence_views
+from infrablend.pipeline.plans.sequence_motion import sequence_views, stated_middles
 from infrablend.pipeline.studies.flight_overlap import glance_at_overlap
 
 SEED, SIZE = 3, (640, 512)
@@ -95,9 +97,9 @@ def places_of(dataset: Dataset) -> list[Place]:
 def overlap(still: Path) -> Overlap:
     dataset = coco.read(still)
     places = places_of(dataset)
-    looks = [Look(v) for v in sequence_views(dataset.images)]
+    views = list(sequence_views(dataset.images))
     pairs = [*neighbours(places, SIZE, None)][:60]
-    links = [link for a, b in pairs if (link := find_link(a, b, looks)) is not None]
+    links = [link for a, b in pairs if (link := find_link(a, b, views)) is not None]
     assert len(links) > 50
     found = fit_overlap(places, links, SIZE)
     assert isinstance(found, Overlap)
@@ -252,3 +254,17 @@ def test_inspect_offers_what_the_header_has_wrong(still: Path) -> None:
     assert "0 of 27 pictures with a position look straight down" in str(glance_at_overlap(tilted))
     nowhere = [replace(i, capture=replace(i.capture, latitude_deg=None)) for i in dataset.images]
     assert glance_at_overlap(nowhere) is None
+
+
+def test_sparse_frames_are_followed_by_what_they_state(still: Path) -> None:
+    images = coco.read(still).images[:14]  # the turn between strips is among them
+    assert len({m.span for m in follow_camera(sequence_views(images))}) > 1
+    moments = follow_camera(sequence_views(images), stated_middles(images))
+    assert [m.state for m in moments] == ["first"] + ["followed"] * 13
+    to_map = [np.array(f["to_map"]) for f in json.loads((still / "world.json").read_text())["frames"]]
+    middle = np.array([[320.0, 256.0]])
+    for moment, matrix in zip(moments, to_map, strict=False):
+        true = moved(middle, np.linalg.inv(to_map[0]) @ matrix)
+        assert np.abs(moved(middle, moment.to_first) - true).max() < 4 * max(moment.error_px, 0.5)
+    elsewhere = [replace(i, capture=replace(i.capture, yaw_deg=0.0)) for i in images]
+    assert not all(m.known and m.span == 0 for m in follow_camera(sequence_views(images), stated_middles(elsewhere)))

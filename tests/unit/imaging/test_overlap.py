@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from infrablend.imaging.overlap import Link, Overlap, Place, fit_overlap, neighbours
+from infrablend.imaging.overlap import Link, Overlap, Place, fit_overlap, neighbours, seen_middle
 
 SIZE = (640, 512)
 HFOV = 45.0
@@ -131,3 +131,10 @@ def test_neighbours_are_near_and_those_in_a_row_first() -> None:
         apart = math.hypot(true[a].east_m - true[b].east_m, true[a].north_m - true[b].north_m)
         assert apart < 0.62 * short
     assert any(b - a > 3 for a, b in pairs)  # across strips
+
+
+def test_pictures_show_the_middle_of_others_where_their_places_say() -> None:
+    true = survey()
+    for a, b in neighbours(true, SIZE, HFOV):
+        x, y, _ = matrix(true[a], true[b]) @ [(SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2, 1]
+        assert seen_middle(true[a], true[b], SIZE, HFOV) == pytest.approx((x + 0.5, y + 0.5), abs=1e-6)

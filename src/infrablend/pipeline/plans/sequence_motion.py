@@ -21,8 +21,16 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import cache_folder, load_json, sha256_of, write_json
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures.images import load_background
-from infrablend.imaging.camera_path import MOST_ERROR_PX, Moment, follow_camera, moment_from_json, moment_to_json
+from infrablend.imaging.camera_path import (
+    MOST_ERROR_PX,
+    Expected,
+    Moment,
+    follow_camera,
+    moment_from_json,
+    moment_to_json,
+)
 from infrablend.imaging.camera_shift import View
+from infrablend.imaging.overlap import looks_down, places_of, seen_middle
 from infrablend.imaging.paint_out import Shown, Written, find_written
 
 VERSION = 3
@@ -154,7 +162,7 @@ def find_motion(
             on_frame()
     else:
         views = _Views(images, on_frame)
-        moments = follow_camera(views)
+        moments = follow_camera(views, stated_middles(images))
         sizes = {m.span: size for m, size in zip(moments, views.sizes_wh, strict=True) if m.known}
         saved = {
             "size_wh": views.size_wh,
@@ -170,6 +178,22 @@ def find_motion(
     size_wh = tuple(saved["size_wh"])
     levels = tuple(saved["levels"])
     return SequenceMotion(name, numbers, known, size_wh, other, levels, dict(saved["unread"]))
+
+
+def stated_middles(images: Sequence[ImageRecord]) -> Expected:
+    """Return what pictures that look straight down state of where they show the middle of others."""
+    captures = [i.capture for i in images]
+    size_wh = images[0].size_wh
+
+    def middle(one: int, other: int) -> tuple[float, float] | None:
+        pair = (captures[one], captures[other])
+        lens = pair[1].hfov_deg
+        if size_wh is None or lens is None or not all(looks_down(c) and c.altitude_m is not None for c in pair):
+            return None
+        before, after = places_of(pair, size_wh)
+        return seen_middle(before, after, size_wh, lens)
+
+    return middle
 
 
 def sequence_views(images: Sequence[ImageRecord], on_frame: Callable[[], None] = lambda: None) -> Iterator[View]:
@@ -240,7 +264,10 @@ def _key(images: Sequence[ImageRecord]) -> str:
         sha256 = None
         with contextlib.suppress(OSError):  # named where it is read
             sha256 = sha256_of(real_path(image.path))
-        digest.update(json.dumps([_frame(image), sha256, boxes]).encode())
+        c = image.capture
+        # What `stated_middles` follows from, where it is stated.
+        stated = [c.place, c.yaw_deg, c.roll_deg, c.pitch_deg, c.altitude_m, c.hfov_deg] if looks_down(c) else []
+        digest.update(json.dumps([_frame(image), sha256, boxes, *stated]).encode())
     return digest.hexdigest()[:32]
 
 

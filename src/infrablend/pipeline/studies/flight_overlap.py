@@ -8,20 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from infrablend.core.camera import STRAIGHT_DOWN_DEG
-from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.ground_position import LocalFrame
 from infrablend.imaging.overlap import (
     MOST_TILT_DEG,
     Link,
-    Look,
     Overlap,
     OverlapValue,
     Place,
     find_link,
     fit_overlap,
+    looks_down,
     neighbours,
+    places_of,
     shorter_side,
 )
 from infrablend.pipeline.plans.sequence_motion import sequence_views
@@ -34,7 +32,6 @@ _ROW = 6
 _PAIRS_EACH = 4
 # Pictures that follow each other at less than this share of their shorter side show almost the same.
 _STEP = 0.1
-_USUAL_STEP = 0.3
 _LEAST = 4
 _LASER_M = 1.0
 _BAROMETER_M = 2.0
@@ -48,14 +45,14 @@ def glance_at_overlap(images: Sequence[ImageRecord]) -> list[OverlapValue] | str
     placed = [i for i in images if i.capture.place is not None and i.size_wh is not None]
     if len(placed) < _LEAST:
         return None
-    known = [i for i in placed if _looks_down(i.capture) and i.size_wh == placed[0].size_wh]
+    known = [i for i in placed if looks_down(i.capture) and i.size_wh == placed[0].size_wh]
     if len(known) < _LEAST:
         down = f"look straight down to {MOST_TILT_DEG:g} degrees, and state their yaw"
         return f"{len(known)} of {len(placed)} pictures with a position {down}, where yaw and lens follow from overlap"
     ordered = sorted(known, key=flight_order)
     size_wh, lens = ordered[0].size_wh, ordered[0].capture.hfov_deg
     assert size_wh is not None
-    every = _places(ordered)
+    every = places_of([i.capture for i in ordered], size_wh)
     rows = spread_rows(every, shorter_side(size_wh, lens))
     chosen = [ordered[k] for k in rows]
     places = [every[k] for k in rows]
@@ -66,10 +63,6 @@ def glance_at_overlap(images: Sequence[ImageRecord]) -> list[OverlapValue] | str
 def flight_order(image: ImageRecord) -> tuple[str, int, str]:
     """Return what to sort pictures of flights by."""
     return image.capture.sequence or "", image.capture.frame or 0, image.id
-
-
-def _looks_down(c: Capture) -> bool:
-    return c.yaw_deg is not None and c.pitch_deg is not None and abs(STRAIGHT_DOWN_DEG - c.pitch_deg) <= MOST_TILT_DEG
 
 
 def link_pictures(
@@ -87,30 +80,8 @@ def link_pictures(
     assert size_wh is not None
     pairs = list(neighbours(places, size_wh, hfov_deg))[: most or _PAIRS_EACH * len(images)]
     numbered = [replace(i, capture=replace(i.capture, frame=k)) for k, i in enumerate(images)]
-    looks = [Look(view) for view in sequence_views(numbered)]
-    return [link for a, b in pairs if (link := find_link(a, b, looks)) is not None]
-
-
-def _places(images: Sequence[ImageRecord]) -> list[Place]:
-    """Return what pictures state that look straight down.
-
-    Unless all state their height, it is taken to be such that pictures overlap by 70 %; the ground pixel does not
-    depend on it.
-    """
-    captures = [i.capture for i in images]
-    size_wh, origin = images[0].size_wh, captures[0].place
-    assert size_wh is not None and origin is not None
-    at = LocalFrame(*origin).to_metres(*(np.array([c.place for c in captures], np.float64).T))
-    heights = [c.altitude_m for c in captures]
-    if None in heights:
-        step = float(np.median(np.linalg.norm(np.diff(at, axis=0), axis=1)))
-        heights = [step / _USUAL_STEP / shorter_side(size_wh, captures[0].hfov_deg)] * len(images)
-    found = []
-    for c, (east, north), height in zip(captures, at.tolist(), heights, strict=True):
-        assert c.pitch_deg is not None and c.yaw_deg is not None and height is not None
-        # Straight down, a roll only turns the picture.
-        found.append(Place(east, north, c.yaw_deg + (c.roll_deg or 0.0), height, STRAIGHT_DOWN_DEG - c.pitch_deg))
-    return found
+    views = list(sequence_views(numbered))
+    return [link for a, b in pairs if (link := find_link(a, b, views)) is not None]
 
 
 def spread_rows(places: Sequence[Place], side: float) -> list[int]:
