@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from infrablend.detection.detections import FloatArray
 
-# Mean number of real objects in a bin of sizes, and of inserted ones, at least: with fewer, a few of them would weigh as
-# much as all others.
+# Mean number of real objects in a bin of sizes, and of inserted ones, at least: with fewer, a few of them would weigh
+# as much as all others.
 _LEAST_REAL = 20
 _LEAST_INSERTED = 15
 Z95 = 1.959964
