@@ -25,6 +25,7 @@ from infrablend.detection.detections import (
     write_predictions,
 )
 from infrablend.detection.finder import CONFIDENCE, Finder, load_finder
+from infrablend.detection.tracking import require_trackers, track_ids, tracker_settings
 from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures.images import load_background
@@ -33,6 +34,7 @@ from infrablend.formats.values import csv_text
 from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
 from infrablend.pipeline.flights.place_settings import DEFAULT_PLACES, PlaceSettings
 from infrablend.pipeline.flights.placed_detections import FlightPlaces, draw_maps, place_flight, write_maps
+from infrablend.pipeline.plans.sequence_motion import sequences_of
 from infrablend.report.detections_page import PAGE, detections_page
 
 TABLE = "detections.csv"
@@ -105,10 +107,14 @@ def detect_objects(
     Raises:
         MissingDependencyError: A package or device is missing.
         ModelError: The detector cannot be used.
-        DatasetError: No picture can be searched, or the height model cannot be used.
+        DatasetError: No picture can be searched, there are no sequences for tracks, or the height model cannot be used.
         OutputError: `out` has something that may not be replaced, or cannot be written.
     """
     require_apart(dataset.root, out)
+    sequences = {}
+    if request.tracks:
+        require_trackers()
+        sequences = sequences_of(dataset)
     problems = list(dataset.problems)
     with workspace(out, "detections", DETECT_FILE, replacing(overwrite)) as space:
         file = file_of(detector)
@@ -129,7 +135,8 @@ def detect_objects(
         places = place_flight(dataset.root.name, searched, replace(predictions, images=shown), settings)
         problems += (*places.problems, *_remarks(predictions, total, request.confidence))
         write_predictions(space.folder / PREDICTIONS, predictions)
-        write_text(space.folder / TABLE, _table(searched, shown, predictions.classes, places))
+        tracks = _tracks(sequences, predictions)
+        write_text(space.folder / TABLE, _table(searched, shown, predictions.classes, places, tracks))
         if places.poses.known:
             write_maps(space.folder, places.poses, places.placed)
         with_some = sum(bool(len(found)) for found in shown.values())
@@ -244,8 +251,27 @@ def _remarks(predictions: Predictions, total: Mapping[str, int], confidence: flo
     return remarks
 
 
+Tracks = Mapping[tuple[str, int], str]
+"""Name of the track of a detection, by `<split>/<name>` of its picture and its number there."""
+
+
+def _tracks(sequences: Mapping[str, Sequence[ImageRecord]], predictions: Predictions) -> Tracks:
+    """Return the tracks through each sequence; pictures that could not be searched are gaps."""
+    found: dict[tuple[str, int], str] = {}
+    for name, images in sequences.items():
+        seen = [i for i in images if image_key(i) in predictions.images]
+        ids = track_ids(seen, [predictions.images[image_key(i)] for i in seen], tracker_settings("bytetrack"))
+        for image, of in zip(seen, ids, strict=True):
+            found |= {(image_key(image), k): f"{name}/{number}" for k, number in of.items()}
+    return found
+
+
 def _table(
-    images: Sequence[ImageRecord], shown: Mapping[str, Detections], classes: Sequence[str], places: FlightPlaces
+    images: Sequence[ImageRecord],
+    shown: Mapping[str, Detections],
+    classes: Sequence[str],
+    places: FlightPlaces,
+    tracks: Tracks,
 ) -> str:
     """Return the table of detections, picture by picture, those of a picture by descending score."""
     placed = {(p.picture, p.number): p for p in places.placed}
@@ -256,7 +282,9 @@ def _table(
         for k, (box, of) in enumerate(zip(found.boxes_xyxy.tolist(), found.classes.tolist(), strict=True)):
             at = placed.get((key, k))
             place = [""] * 5 if at is None else at.table_cells()
-            rows.append((key, time_text(image), *box, classes[of], float(found.scores[k]), "", *place))
+            rows.append(
+                (key, time_text(image), *box, classes[of], float(found.scores[k]), tracks.get((key, k), ""), *place)
+            )
     return csv_text(COLUMNS, rows)
 
 
