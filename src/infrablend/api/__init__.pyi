@@ -73,13 +73,13 @@ from infrablend.pipeline.runs.choose import ChoiceReport as ChoiceReport
 from infrablend.lab.realism.compare_objects import RealismReport as RealismReport
 from infrablend.pipeline.datasets.convert import ConvertReport as ConvertReport
 from infrablend.pipeline.extraction.count_scale import CountScale as CountScale, Spot as Spot
+from infrablend.detection.detectability_record import AlarmFacts as AlarmFacts
 from infrablend.pipeline.flights.detectability import (
     DetectabilityPlan as DetectabilityPlan,
     DetectabilityReport as DetectabilityReport,
     DetectabilityRequest as DetectabilityRequest,
 )
 from infrablend.pipeline.flights.detectability_figures import (
-    AlarmFacts as AlarmFacts,
     DetectabilitySettings as DetectabilitySettings,
 )
 from infrablend.pipeline.datasets.requests import (

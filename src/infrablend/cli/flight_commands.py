@@ -25,7 +25,8 @@ from infrablend.cli.output import print_problems, show_report, show_result, show
 from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.flights.detectability import DetectabilityFacts, DetectabilityPlan
+    from infrablend.detection.detectability_record import DetectabilityFacts
+    from infrablend.pipeline.flights.detectability import DetectabilityPlan
 
 
 def _pose_errors(texts: list[str] | None) -> api.PoseErrors:
@@ -73,6 +74,7 @@ def detect(
             errors=Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE,..."), _pose_errors],
             terrain=typer.Option(metavar="FILE"),
             take_off=Annotated[str | None, typer.Option(metavar="LAT,LON"), _take_off],
+            speed=typer.Option(min=0, metavar="M/S"),
         ),
     ],
     reading: ReadingOptions,
@@ -89,6 +91,9 @@ def detect(
         **{name: str(n) for name, n in report.found.items()},
         "detections with a place on the ground": str(report.placed),
     }
+    if (objects := report.objects) is not None:
+        rows["detections in a picture on the map"] = f"{objects['per_picture']:.2f}"
+        rows["objects on the flight"] = f"about {objects['expected']:.0f} ({objects['fewest']} to {objects['most']})"
     show_report(session, report, out / "detect.json", report.to_json(), lambda: f"{table(rows)}\n{out / 'report.html'}")
 
 

@@ -150,6 +150,13 @@ class Ellipse:
     minor_m: float
     azimuth_deg: float
 
+    def covariance(self, probability: float = PROBABILITY) -> FloatArray:
+        """Return the (2, 2) covariance, east and north, of a normal error that it holds with some probability."""
+        turn = math.radians(self.azimuth_deg)
+        axes = np.array([[math.sin(turn), math.cos(turn)], [math.cos(turn), -math.sin(turn)]])
+        spread = np.diag([self.major_m**2, self.minor_m**2]) / (-2 * math.log1p(-probability))
+        return np.asarray(axes.T @ spread @ axes)
+
 
 def pose_of(image: ImageRecord, errors: PoseErrors | None = None) -> Pose | str:
     """Return the pose of a picture's camera, or the names of the facts that are missing for it, joined by commas.

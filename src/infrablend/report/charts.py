@@ -84,11 +84,13 @@ def curves(ax: Axes, x: ArrayLike, lines: Mapping[str, ArrayLike], **style: Any)
         ax.plot(x, y, **{"color": colour, "lw": 1.4, "label": plot_text(name), **style})
 
 
-def estimate(ax: Axes, value: float, interval: Sequence[float] | None, at: float, **style: Any) -> None:
-    """Draw a value as a dot in the row `at`, with its interval as a line if that is known."""
+def estimate(ax: Axes, value: float | None, interval: Sequence[float | None] | None, at: float, **style: Any) -> None:
+    """Draw a value as a dot in the row `at`, with its interval as a line if that is known; nothing if it is unknown."""
+    if value is None:
+        return
     ax.plot(value, at, **{"color": BLUE, "marker": "o", "ms": 5, "ls": "", **style})
     if interval:
-        ax.plot(interval, [at, at], color=style.get("color", BLUE), lw=1.6)
+        ax.plot(np.array(interval, np.float64), [at, at], color=style.get("color", BLUE), lw=1.6)
 
 
 def histogram(ax: Axes, values: Mapping[Any, Sequence[float]], bins: int = 30) -> None:

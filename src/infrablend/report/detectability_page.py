@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
+from infrablend.detection.detectability_record import AreaRow, DetectabilityFacts, RecallFacts
 from infrablend.report.charts import BLUE, ORANGE, estimate, legend, panels, plot_text, png_bytes
 from infrablend.report.figures import decimals, interval
 from infrablend.report.page import Table, render_page
@@ -18,16 +19,15 @@ _NOT_COUNTED: Mapping[str, str] = {
 }
 
 
-def recall_table(rows: Iterable[Mapping[str, Any]], names: Sequence[str], title: str) -> Table:
-    """Return shares of inserted and real objects found; `names` are the fields that name a row."""
-    rows = list(rows)
+def recall_table(rows: Sequence[tuple[Sequence[str], RecallFacts]], names: Sequence[str], title: str) -> Table:
+    """Return shares of inserted and real objects found; `names` head the first cells, which each row brings."""
     head = [*names, "inserted", "found", "95 %"]
-    with_real = any("actual" in row for row in rows)
+    with_real = any("actual" in row for _, row in rows)
     if with_real:
         head += ["real", "found", "95 %", "difference", "95 %"]
     lines = []
-    for row in rows:
-        line = [*(str(row[name]) for name in names), str(row["inserted"])]
+    for cells, row in rows:
+        line = [*cells, str(row["inserted"])]
         line += [decimals(row["predicted"]), interval((row["low"], row["high"]))]
         if "actual" in row:
             line += [str(row["real"]), decimals(row["actual"]), interval((row["actual_low"], row["actual_high"]))]
@@ -39,7 +39,7 @@ def recall_table(rows: Iterable[Mapping[str, Any]], names: Sequence[str], title:
     return Table(head, lines, title)
 
 
-def trust_text(facts: Mapping[str, Any]) -> str:
+def trust_text(facts: DetectabilityFacts) -> str:
     """Return whether the prediction can be trusted in these pictures; empty without enough real objects."""
     recall = facts["recall"]
     apart = recall.get("difference")
@@ -61,7 +61,7 @@ def trust_text(facts: Mapping[str, Any]) -> str:
     )
 
 
-def draw_shares(facts: Mapping[str, Any]) -> bytes:
+def draw_shares(facts: DetectabilityFacts) -> bytes:
     """Return a chart of the shares found, with intervals: by size on the left, by the other conditions on the right."""
     cells = facts["cells"]
     by_size = [c for c in cells if c["by"] == "size"]
@@ -83,7 +83,7 @@ def draw_shares(facts: Mapping[str, Any]) -> bytes:
     return png_bytes(figure)
 
 
-def area_table(areas: Iterable[Mapping[str, Any]]) -> Table:
+def area_table(areas: Iterable[AreaRow]) -> Table:
     """Return the probability of detection of the flight and of each sector."""
     rows = [
         [
@@ -99,7 +99,7 @@ def area_table(areas: Iterable[Mapping[str, Any]]) -> Table:
     return Table(["area", "hectares", "photographed", "POD", "range", "coverage C"], rows)
 
 
-def detectability_page(facts: Mapping[str, Any], drawn_map: bytes | None = None) -> str:
+def detectability_page(facts: DetectabilityFacts, drawn_map: bytes | None = None) -> str:
     """Return the HTML page; the same facts give the same bytes.
 
     Args:
@@ -107,12 +107,12 @@ def detectability_page(facts: Mapping[str, Any], drawn_map: bytes | None = None)
         drawn_map: Map of the flight as SVG; None without one.
     """
     confidences = [
-        {**row, "confidence": f"{row['confidence']:g}", "alarms a picture": decimals(row["alarms_per_picture"])}
-        for row in facts["confidences"]
+        ((f"{row['confidence']:g}", decimals(row["alarms_per_picture"])), row) for row in facts["confidences"]
     ]
+    cells = [((cell["by"], cell["value"]), cell) for cell in facts["cells"]]
     tables = [
         recall_table(confidences, ["confidence", "alarms a picture"], "By confidence"),
-        recall_table(facts["cells"], ["by", "value"], f"By condition, at confidence {facts['confidence']:g}"),
+        recall_table(cells, ["by", "value"], f"By condition, at confidence {facts['confidence']:g}"),
     ]
     lost = [f"{n} inserted objects {_NOT_COUNTED.get(name, name)}" for name, n in facts["not_counted"].items()]
     tracks = facts["tracks"]

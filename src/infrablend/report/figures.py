@@ -22,9 +22,9 @@ def compact(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}" if abs(value) >= 100 else f"{value:.3f}".rstrip("0").rstrip(".")
 
 
-def interval(ends: Sequence[float] | None, *, signed: bool = False) -> str:
+def interval(ends: Sequence[float | None] | None, *, signed: bool = False) -> str:
     """Return `0.871 to 0.912`, or `-` for an unknown interval."""
-    if ends is None:
+    if ends is None or None in ends:
         return "-"
     form = "+.3f" if signed else ".3f"
     return f"{ends[0]:{form}} to {ends[1]:{form}}"

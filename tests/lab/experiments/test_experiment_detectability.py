@@ -70,8 +70,13 @@ CELLS = [
     recall(0.9, 0.8, by="size", value="16-32 px", real=149),  # leaves out 0
     recall(0.6, 0.62, by="time", value="day"),
     recall(0.8, 0.79, by="time", value="night", real=39),  # too few
+    # A real object of a size that no inserted one has.
+    {
+        "by": "size", "value": ">=32 px", "predicted": None, "low": None, "high": None, "inserted": 0,
+        "actual": 1.0, "actual_low": 0.2, "actual_high": 1.0, "real": 1,
+    },
     {"by": "target", "value": "standing", "predicted": 0.5, "low": 0.4, "high": 0.6, "inserted": 50},
-]
+]  # fmt: skip
 FACTS: Any = {
     "category": "Person",
     "confidence": 0.25,
@@ -235,11 +240,16 @@ def test_a_run_measures_each_detector_and_shows_the_figures(
     assert facts["detectabilities"]["people-1"]["title"] == "People, seed 2"
     assert facts["detectabilities"]["cars"]["title"] == "cars"
     page = report.page.read_text("utf-8")
-    assert "## Predicted and actual recall" in page and "### By time of day" in page and "### By size" in page
+    assert (
+        "## Predicted and actual recall" in page
+        and "### By time of day, at confidence 0.25" in page
+        and "### By size" in page
+    )
     assert "| People | hit-uav-people | 2,000 real and 0 inserted objects | 579 | measured | 2 of 3 (0.67) |" in page
     assert "| all |  |  |  |  | 6 of 9 (0.67) |" in page
     assert "| People | 0.1 | 1.25 | 300 | 0.909 |" in page
     assert "| cars | 8-16 px | 300 | 0.700 |" in page and "standing" not in page
+    assert "| cars | >=32 px | 0 | - | - | 1 | 1.000 | 0.200 to 1.000 |  |  |" in page
     assert [c["holds"] for c in facts["checks"]] == [None, None]  # smoke gives no verdicts
     assert page_text(facts) == page and str(tmp_path) not in page
     again = run(str(few), data, tmp_path / "work")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from PIL import Image
 
 from infrablend.core.boxes import corners_of_box
 from infrablend.core.dataset import Dataset
+from infrablend.detection.detections import Detections, Predictions
+from infrablend.detection.truth import image_key
 from infrablend.errors import ArgumentError, RecipeError
 from infrablend.formats.labels import coco
 from infrablend.imaging.overlap import Look, Overlap, Place, find_link, fit_overlap, neighbours
@@ -24,7 +27,11 @@ from infrablend.lab.world.scene_plan import WorldPlan
 from infrablend.lab.world.world_dataset import WorldRequest, write_world
 from infrablend.lab.world.world_frames import FrameFacts, Survey, plan_frames
 from infrablend.lab.world.world_survey import begin_survey, find_stations, survey_frame
+from infrablend.pipeline.flights.flight_objects import count_flight
+from infrablend.pipeline.flights.place_settings import PlaceSettings
+from infrablend.pipeline.flights.placed_detections import place_flight
 from infrablend.pipeline.plans.sequence_motion import sequence_views
+from infrablend.pipeline.studies.flight_overlap import glance_at_overlap
 
 SEED, SIZE = 3, (640, 512)
 ACROSS = 3
@@ -189,3 +196,59 @@ def test_a_survey_says_what_it_cannot() -> None:
         shared = begin_survey(facts[0], SEED, Peopled())
         with pytest.raises(RecipeError, match="at most"):
             survey_frame(shared, facts[-1], Path("unused"))
+
+
+def true_boxes(dataset: Dataset) -> tuple[Predictions, set[object]]:
+    """Return the labels of pictures as detections, and the objects that they are of."""
+    names = tuple(c.name for c in dataset.categories)
+    found = {}
+    for image in dataset.images:
+        boxes = np.array([o.box_xyxy for o in image.instances]).reshape(-1, 4)
+        classes = np.array([names.index(o.category) for o in image.instances], int)
+        found[image_key(image)] = Detections(boxes, np.ones(len(boxes)), classes)
+    sizes = dict.fromkeys(found, SIZE)
+    return Predictions("detect", names, found, sizes), {o.track_id for i in dataset.images for o in i.instances}
+
+
+def test_poses_are_corrected_and_things_counted_once(still: Path) -> None:
+    dataset, truth = coco.read(still), truth_of(still)
+    predictions, tracks = true_boxes(dataset)
+    places = place_flight("still", dataset.images, predictions, PlaceSettings())
+    (said,) = [p for p in places.problems if p.code == "pose-corrected"]
+    assert "degrees too large" in said.found
+    for image, true in zip(dataset.images, truth, strict=True):
+        pose = places.poses.known[image_key(image)]
+        assert (pose.yaw_deg - true["yaw_deg"] + 180) % 360 - 180 == pytest.approx(0, abs=0.7 + 3 * 0.3)
+        assert pose.errors["yaw_deg"].source == "overlap of pictures"
+        assert pose.hfov_deg == image.capture.hfov_deg  # which it does not contradict
+    count = count_flight(places.joined, predictions, dataset.images, places.joining, 1.6)
+    assert len(tracks) > 10 and count["expected"] == pytest.approx(len(tracks), rel=0.05)
+    assert count["fewest"] <= len(tracks) <= count["most"]
+    assert count["per_picture"] == pytest.approx(len(places.placed) / COUNT, abs=1e-3)
+    assert sorted(n for o in count["objects"] for n in o["sightings"]) == sorted(
+        f"{p.picture} {p.number}" for p in places.placed
+    )
+
+
+def test_inspect_offers_what_the_header_has_wrong(still: Path) -> None:
+    dataset = coco.read(still)
+    values = glance_at_overlap(dataset.images)
+    assert isinstance(values, list)
+    found = {v["name"]: v for v in values}
+    yaw, pixel, lens = (found[n] for n in ("yaw_error_deg", "ground_pixel_m", "hfov_deg"))
+    assert yaw["contradicts"] and yaw["value"] == pytest.approx(10, abs=1.5)
+    assert not pixel["contradicts"] and not lens["contradicts"]
+    assert pixel["value"] == pytest.approx(80 / 2060, rel=0.02)
+    assert lens["low"] < 17.66 < lens["high"] and "to 2 m" in lens["source"]
+    wrong = [replace(i, capture=replace(i.capture, hfov_deg=30.0)) for i in dataset.images[:9]]
+    values = glance_at_overlap(wrong)
+    assert isinstance(values, list)
+    assert {v["name"] for v in values if v["contradicts"]} == {"yaw_error_deg", "ground_pixel_m", "hfov_deg"}
+    without = [replace(i, capture=replace(i.capture, hfov_deg=None, altitude_m=None)) for i in dataset.images[:9]]
+    values = glance_at_overlap(without)
+    assert isinstance(values, list)
+    assert [(v["name"], v["stated"]) for v in values] == [("yaw_error_deg", 0.0), ("ground_pixel_m", None)]
+    tilted = [replace(i, capture=replace(i.capture, pitch_deg=45.0)) for i in dataset.images]
+    assert "0 of 27 pictures with a position look straight down" in str(glance_at_overlap(tilted))
+    nowhere = [replace(i, capture=replace(i.capture, latitude_deg=None)) for i in dataset.images]
+    assert glance_at_overlap(nowhere) is None

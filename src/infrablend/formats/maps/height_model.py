@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,22 @@ class HeightGrid:
         return np.where(inside, south * (1 - y) + north * y, np.nan)
 
 
+def load_rasterio() -> Any:
+    """Return the package that reads rasters.
+
+    Raises:
+        MissingDependencyError: It is not installed.
+    """
+    try:
+        import rasterio
+        import rasterio.warp
+    except ImportError as error:
+        raise MissingDependencyError(
+            'rasterio is not installed, which height models need; install with\n  pip install "infrablend[terrain]"'
+        ) from error
+    return rasterio
+
+
 def read_heights(path: Path, frame: LocalFrame, low: FloatArray, high: FloatArray) -> HeightGrid:
     """Return the part of a GeoTIFF's heights between two corners, (2,) metres east and north.
 
@@ -52,13 +69,7 @@ def read_heights(path: Path, frame: LocalFrame, low: FloatArray, high: FloatArra
         MissingDependencyError: rasterio is not installed.
         DatasetError: The file is no height model.
     """
-    try:
-        import rasterio
-        from rasterio.warp import reproject
-    except ImportError as error:
-        raise MissingDependencyError(
-            'rasterio is not installed, which height models need; install with\n  pip install "infrablend[terrain]"'
-        ) from error
+    rasterio = load_rasterio()
     try:
         with rasterio.open(path, driver="GTiff") as source:
             if source.crs is None or source.count != 1:
@@ -69,7 +80,7 @@ def read_heights(path: Path, frame: LocalFrame, low: FloatArray, high: FloatArra
             columns, rows = (max(2, math.ceil(side / cell_m)) for side in high - low)
             north = float(low[1]) + rows * cell_m
             heights = np.full((rows, columns), np.nan)
-            reproject(
+            rasterio.warp.reproject(
                 rasterio.band(source, 1), heights, dst_nodata=np.nan, resampling=rasterio.enums.Resampling.bilinear,
                 dst_transform=rasterio.Affine(cell_m, 0.0, float(low[0]), 0.0, -cell_m, north),
                 dst_crs=f"+proj=aeqd +datum=WGS84 +lat_0={frame.latitude_deg!r} +lon_0={frame.longitude_deg!r}",

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import cast
 
+from infrablend.detection.detectability_record import CellFacts, DetectabilityFacts
 from infrablend.lab.experiments.definition import Check, Detectability, RecallCells
 from infrablend.lab.experiments.graph import OTHER_SCALES
 from infrablend.lab.experiments.result_record import Claim, DetectabilityFigures
-from infrablend.pipeline.flights.detectability import DetectabilityFacts
-from infrablend.pipeline.flights.detectability_figures import LEAST_COMPARED, CellFacts
+from infrablend.pipeline.flights.detectability_figures import LEAST_COMPARED
 
 
 def detectability_figures(name: str, spec: Detectability, facts: DetectabilityFacts) -> DetectabilityFigures:
@@ -61,7 +61,7 @@ def check_recall(
     claim["least"] = check.least
     claim["most"] = check.most
     claim["metric"] = "recall"
-    claim["class"] = ", ".join(dict.fromkeys(measured[n]["category"] for n in names if n in measured))
+    claim["class"] = ", ".join(dict.fromkeys(measured[n]["category"] for n in names if n in measured)) or "all"
     if lacking := [n for n in names or wanted.of if n not in measured]:
         claim["missing"] = next((left_out[n] for n in lacking if n in left_out), "not run yet")
         return

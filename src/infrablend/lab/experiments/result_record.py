@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NotRequired, TypedDict
 
+from infrablend.detection.detectability_record import AlarmFacts, CellFacts, DetectabilityFacts, RecallFacts
 from infrablend.lab.evaluation.evaluation_record import (
     ClassRows,
     Curves,
@@ -17,8 +18,6 @@ from infrablend.lab.evaluation.evaluation_record import (
     TrackFacts,
 )
 from infrablend.lab.training.training_record import TrainingRecord
-from infrablend.pipeline.flights.detectability import DetectabilityFacts
-from infrablend.pipeline.flights.detectability_figures import AlarmFacts, CellFacts, RecallFacts
 
 # -- stage.json ------------------------------------------------------------------------------------------------
 

@@ -181,20 +181,18 @@ def _recall(measured: Mapping[str, DetectabilityFigures]) -> Iterator[str]:
     head = ["", "Recipe", "Trained on", "Pictures", "Figure", "Intervals that hold 0"]
     yield Table(head, [*lines, ["all", "", "", "", "", _share(every)]]).markdown()
     rows = [
-        {**row, "": of["title"], "confidence": f"{row['confidence']:g}", "alarms": f"{row['alarms_per_picture']:.2f}"}
+        ((of["title"], f"{row['confidence']:g}", f"{row['alarms_per_picture']:.2f}"), row)
         for of in measured.values()
         for row in of["confidences"]
     ]
     yield recall_table(rows, ["", "confidence", "alarms"], "").markdown()
+    confidence = next(iter(measured.values()))["confidence"]
     for by, words in (("time", "time of day"), ("size", "size")):
         cells = [
-            {**cell, "": of["title"], words: cell["value"]}
-            for of in measured.values()
-            for cell in of["cells"]
-            if cell["by"] == by
+            ((of["title"], cell["value"]), cell) for of in measured.values() for cell in of["cells"] if cell["by"] == by
         ]
         if cells:
-            yield f"### By {words}"
+            yield f"### By {words}, at confidence {confidence:g}"
             yield recall_table(cells, ["", words], "").markdown()
 
 

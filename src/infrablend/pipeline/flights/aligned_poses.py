@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +14,9 @@ from infrablend.core.dataset import ImageRecord
 from infrablend.core.ground_position import LocalFrame, Pose, StatedError
 from infrablend.detection.truth import image_key
 from infrablend.errors import Problem
-from infrablend.imaging.overlap import MOST_TILT_DEG, Overlap, Place, fit_overlap
+from infrablend.imaging.overlap import MOST_TILT_DEG, Overlap, Place, fit_overlap, shorter_side
 from infrablend.pipeline.flights.flight_poses import FlightPoses
-from infrablend.pipeline.studies.flight_overlap import link_pictures
+from infrablend.pipeline.studies.flight_overlap import flight_order, link_pictures, spread_rows
 
 # Fewer pictures have no overlap to speak of.
 _LEAST = 4
@@ -43,16 +43,17 @@ class AlignedPoses:
     problems: Sequence[Problem]
 
 
-def align_poses(where: str, images: Sequence[ImageRecord], poses: FlightPoses) -> AlignedPoses:
+def align_poses(where: str, images: Sequence[ImageRecord], poses: FlightPoses, shown: Collection[str]) -> AlignedPoses:
     """Return the poses of a flight, corrected by the overlap of its pictures where these look straight down.
 
     Args:
         where: Name of the data, for problems.
         images: The pictures.
         poses: Their poses, as stated.
+        shown: `<split>/<name>` of pictures that show what is to be joined: these, and some others, are compared.
     """
     groups: dict[tuple[LocalFrame, tuple[int, int]], list[ImageRecord]] = defaultdict(list)
-    for image in images:
+    for image in sorted(images, key=flight_order):
         pose = poses.known.get(image_key(image))
         if pose is not None and abs(STRAIGHT_DOWN_DEG - pose.pitch_deg) <= MOST_TILT_DEG:
             groups[poses.frames[image_key(image)], pose.size_wh].append(image)
@@ -60,19 +61,23 @@ def align_poses(where: str, images: Sequence[ImageRecord], poses: FlightPoses) -
     own = {key: _own(pose) for key, pose in known.items()}
     problems = []
     for (frame, size_wh), of_group in groups.items():
-        if len(of_group) < _LEAST:
-            continue
         keys = [image_key(i) for i in of_group]
         stated = [known[k] for k in keys]
         places = [_place(p, frame) for p in stated]
-        links = link_pictures(of_group, places, float(np.median([p.hfov_deg for p in stated])))
-        found = fit_overlap(places, links, size_wh)
+        lens = float(np.median([p.hfov_deg for p in stated]))
+        rows = spread_rows(places, shorter_side(size_wh, lens))
+        chosen = sorted({*rows, *(n for n, key in enumerate(keys) if key in shown)})
+        if len(chosen) < _LEAST:
+            continue
+        at = [places[n] for n in chosen]
+        found = fit_overlap(at, link_pictures([of_group[n] for n in chosen], at, lens), size_wh)
         if isinstance(found, str):
             expected = "pictures that show much of the same ground"
             problems.append(Problem(where, "no-overlap", found, expected, "poses stay as stated", "warning"))
             continue
+        tracked = {chosen[n]: place for n, place in found.track.items()}
         for number, (key, pose) in enumerate(zip(keys, stated, strict=True)):
-            own[key] = _joined(pose, found, frame, found.track.get(number))
+            own[key] = _joined(pose, found, frame, tracked.get(number))
         changes, texts = _contradicted(found, stated, size_wh[0])
         known.update((key, _changed(pose, changes)) for key, pose in zip(keys, stated, strict=True))
         expected = f"what overlap says ({found.pictures} pictures, {found.links} pairs)"

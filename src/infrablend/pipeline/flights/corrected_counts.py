@@ -2,8 +2,8 @@
 
 Each detection stands for 1/p objects, where p is the share of inserted objects found under the conditions of its look
 (Horvitz and Thompson, Journal of the American Statistical Association 47, 1952). The conditions are those that are
-known of a detection as well: time of day and ground pixel size, not the true size. Counted are looks: an object that
-three pictures show is three.
+known of a detection as well: time of day and ground pixel size, or height, not the true size. Counted are looks: an
+object that three pictures show is three.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
 
 import numpy as np
 
+from infrablend.detection.detectability_record import CountFacts
 from infrablend.detection.recall import NONE, Z95, Share, weighted_share
 from infrablend.detection.sightings import Sighting
 from infrablend.pipeline.flights.insert_trials import SearchedPicture, Trials, look_conditions
@@ -23,22 +23,7 @@ _LEAST_EFFECTIVE = 10.0
 """Fewest independent inserted objects under a condition whose share is used; otherwise that of all of them is."""
 
 LookKey = tuple[str, str]
-"""Time of day and range of ground pixel sizes of a look; empty where the latter is unknown."""
-
-
-class CountFacts(TypedDict):
-    """Objects counted, each once for each picture that shows it.
-
-    `detections` are those counted: of labelled objects (`of` is `labelled`) or all (`all`, some of which may be false
-    alarms); `corrected` is the estimate of the objects, with its interval, which includes the error of p; it is None
-    where p is unknown or 0.
-    """
-
-    of: str
-    detections: int
-    corrected: float | None
-    low: float | None
-    high: float | None
+"""Time of day and range of ground pixel sizes of a look; the height instead of an unknown one, empty without either."""
 
 
 class LookShares:
@@ -64,7 +49,7 @@ class LookShares:
 
 def look_key(conditions: Mapping[str, str]) -> LookKey:
     """Return the key of a look from its conditions."""
-    return conditions["time"], conditions.get("ground pixel", "")
+    return conditions["time"], conditions.get("ground pixel", conditions.get("height", ""))
 
 
 def _share(inserted: Sequence[Sighting], confidence: float) -> Share:

@@ -28,10 +28,12 @@ from infrablend.detection.finder import CONFIDENCE, Finder, load_finder
 from infrablend.detection.tracking import require_trackers, track_ids, tracker_settings
 from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.maps.height_model import load_rasterio
 from infrablend.formats.pictures.images import load_background
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.values import csv_text
 from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
+from infrablend.pipeline.flights.flight_objects import FlightObjectFacts, count_flight
 from infrablend.pipeline.flights.place_settings import DEFAULT_PLACES, PlaceSettings
 from infrablend.pipeline.flights.placed_detections import FlightPlaces, draw_maps, place_flight, write_maps
 from infrablend.pipeline.plans.sequence_motion import sequences_of
@@ -40,7 +42,7 @@ from infrablend.report.detections_page import PAGE, detections_page
 TABLE = "detections.csv"
 COLUMNS = (
     "picture", "time", "left", "top", "right", "bottom", "class", "score", "track", "latitude", "longitude",
-    "ellipse_long_m", "ellipse_short_m", "ellipse_bearing_deg",
+    "ellipse_long_m", "ellipse_short_m", "ellipse_bearing_deg", "object",
 )  # fmt: skip
 
 
@@ -55,6 +57,7 @@ class DetectReport:
         with_some: Number of pictures with such a detection.
         placed: Number of these detections that have a place on the ground.
         problems: Pictures that were not searched, each with its reason, and warnings.
+        objects: The objects behind these detections; None without places.
     """
 
     out: Path
@@ -63,6 +66,7 @@ class DetectReport:
     with_some: int
     placed: int
     problems: tuple[Problem, ...] = field(default=())
+    objects: FlightObjectFacts | None = None
 
     @property
     def ok(self) -> bool:
@@ -77,6 +81,7 @@ class DetectReport:
             "found": dict(self.found),
             "with_some": self.with_some,
             "placed": self.placed,
+            "objects": self.objects,
             "problems": [p.to_json() for p in self.problems],
         }
 
@@ -107,7 +112,7 @@ def detect_objects(
     Raises:
         MissingDependencyError: A package or device is missing.
         ModelError: The detector cannot be used.
-        DatasetError: No picture can be searched, there are no sequences for tracks, or the height model cannot be used.
+        DatasetError: No picture can be searched, or there are no sequences for tracks.
         OutputError: `out` has something that may not be replaced, or cannot be written.
     """
     require_apart(dataset.root, out)
@@ -116,6 +121,8 @@ def detect_objects(
         require_trackers()
         sequences = sequences_of(dataset)
     problems = list(dataset.problems)
+    if settings.terrain is not None:
+        load_rasterio()
     with workspace(out, "detections", DETECT_FILE, replacing(overwrite)) as space:
         file = file_of(detector)
         if file.suffix.lower() == ".json":
@@ -135,13 +142,17 @@ def detect_objects(
         places = place_flight(dataset.root.name, searched, replace(predictions, images=shown), settings)
         problems += (*places.problems, *_remarks(predictions, total, request.confidence))
         write_predictions(space.folder / PREDICTIONS, predictions)
+        kept = replace(predictions, images=shown)
+        objects = count_flight(places.joined, kept, searched, places.joining, settings.speed) if places.joined else None
         tracks = _tracks(sequences, predictions)
-        write_text(space.folder / TABLE, _table(searched, shown, predictions.classes, places, tracks))
+        write_text(space.folder / TABLE, _table(searched, shown, predictions.classes, places, objects, tracks))
         if places.poses.known:
             write_maps(space.folder, places.poses, places.placed)
         with_some = sum(bool(len(found)) for found in shown.values())
         counts = {name: total[name] for name in predictions.classes if total[name]}
-        report = DetectReport(out, len(predictions.images), counts, with_some, len(places.placed), tuple(problems))
+        report = DetectReport(
+            out, len(predictions.images), counts, with_some, len(places.placed), tuple(problems), objects
+        )
         facts: dict[str, object] = {
             "detector": dict(predictions.facts),
             "classes": list(predictions.classes),
@@ -271,10 +282,12 @@ def _table(
     shown: Mapping[str, Detections],
     classes: Sequence[str],
     places: FlightPlaces,
+    objects: FlightObjectFacts | None,
     tracks: Tracks,
 ) -> str:
     """Return the table of detections, picture by picture, those of a picture by descending score."""
     placed = {(p.picture, p.number): p for p in places.placed}
+    object_of = {name: o["number"] for o in (objects["objects"] if objects else ()) for name in o["sightings"]}
     rows: list[tuple[object, ...]] = []
     for image in images:
         key = image_key(image)
@@ -283,7 +296,16 @@ def _table(
             at = placed.get((key, k))
             place = [""] * 5 if at is None else at.table_cells()
             rows.append(
-                (key, time_text(image), *box, classes[of], float(found.scores[k]), tracks.get((key, k), ""), *place)
+                (
+                    key,
+                    time_text(image),
+                    *box,
+                    classes[of],
+                    float(found.scores[k]),
+                    tracks.get((key, k), ""),
+                    *place,
+                    object_of.get(f"{key} {k}", ""),
+                )
             )
     return csv_text(COLUMNS, rows)
 

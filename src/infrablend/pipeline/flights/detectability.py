@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TypedDict, cast
+from typing import cast
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from infrablend.core.files import write_json, write_text
 from infrablend.core.ground_position import pose_of
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import replacing, workspace
+from infrablend.detection.detectability_record import AreaRow, DetectabilityFacts, MapFacts, MeasuredFacts
 from infrablend.detection.finder import Finder, load_finder
 from infrablend.detection.recall import Z95
 from infrablend.detection.training_origin import TrainingOrigin, training_origin
@@ -32,7 +33,6 @@ from infrablend.pipeline.flights.detectability_figures import (
     FACTS,
     LEAST_COMPARED,
     DetectabilitySettings,
-    MeasuredFacts,
     measured_facts,
     run_trials,
 )
@@ -88,51 +88,6 @@ class DetectabilityRequest:
     device: str = "auto"
     classes: tuple[str, ...] = ()
     seed: int = 0
-
-
-class MapFacts(TypedDict):
-    """The map of a flight: its cells, how far looks depend on each other, and the figures of flight and sectors."""
-
-    cell_m: float
-    cells: int
-    rho: float
-    rho_from: str
-    track_m: float
-    sweep_width_m: float | None
-    pictures_without_pose: int
-    areas: list[AreaRow]
-
-
-class AreaRow(TypedDict):
-    """Fields of `search_map.AreaFigures`; a share is None where it is unknown."""
-
-    name: str
-    area_m2: float
-    photographed: float
-    pod: float | None
-    low: float | None
-    high: float | None
-    coverage: float | None
-
-
-class DetectabilityFacts(MeasuredFacts):
-    """Content of `detectability.json`.
-
-    `kind` is `measured`; or `upper bound` for a detector that was trained on inserted objects where no real ones say
-    how well it does.
-    """
-
-    kind: str
-    sentence: str
-    map: MapFacts | None
-    recipe: str
-    detector: Mapping[str, object]
-    trained_on: str
-    data: str
-    seed: int
-    until: float
-    infrablend: str
-    problems: list[dict[str, str]]
 
 
 @dataclass(frozen=True, eq=False)

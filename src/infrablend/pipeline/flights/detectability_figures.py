@@ -10,18 +10,19 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypedDict
+from typing import Literal
 
 import numpy as np
 
 from infrablend.core.arguments import require_whole
+from infrablend.detection.detectability_record import AlarmFacts, CellFacts, MeasuredFacts, RecallFacts
 from infrablend.detection.detections import FloatArray
 from infrablend.detection.matching import SIZE_BINS
 from infrablend.detection.recall import Share, difference, weighted_share, weights_of_sizes
 from infrablend.detection.sightings import Sighting
 from infrablend.errors import ArgumentError
-from infrablend.pipeline.flights.corrected_counts import CountFacts, count_looks
-from infrablend.pipeline.flights.insert_trials import Trials
+from infrablend.pipeline.flights.corrected_counts import count_looks
+from infrablend.pipeline.flights.insert_trials import Trials, stratum
 from infrablend.report.figures import stratum_order
 
 CONFIDENCES = (0.1, 0.25, 0.4)
@@ -82,37 +83,6 @@ class DetectabilitySettings:
         return tuple(sorted({*CONFIDENCES, self.confidence}))
 
 
-class RecallFacts(TypedDict, total=False):
-    """Share of objects found: of inserted ones, and of real ones where the data have labels.
-
-    `difference` is predicted less actual, with the ends of its interval.
-    """
-
-    predicted: float | None
-    low: float | None
-    high: float | None
-    inserted: int
-    actual: float | None
-    actual_low: float | None
-    actual_high: float | None
-    real: int
-    difference: list[float]
-
-
-class CellFacts(RecallFacts):
-    """The same of objects with one value of a condition."""
-
-    by: str
-    value: str
-
-
-class AlarmFacts(RecallFacts):
-    """The same at one confidence, with the detections that see no labelled object."""
-
-    confidence: float
-    alarms_per_picture: float
-
-
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """Inserted and real objects whose recall is compared.
@@ -135,8 +105,9 @@ class Comparison:
         if sizes is None or not len(sizes.px):
             return cls(inserted, real, np.ones(len(inserted)))
         px = np.array([s.size_px for s in inserted], np.float64)
-        times = [s.conditions["time"] for s in inserted]
-        weights, left_out = weights_of_sizes(px, times, sizes.px, sizes.times)
+        weights, left_out = weights_of_sizes(px, [stratum_of(s) for s in inserted], sizes.px, sizes.strata)
+        if not weights.any():  # no inserted object has a size of the real ones
+            weights = np.ones(len(inserted))
         return cls(inserted, real, weights, left_out)
 
     def predicted(self, confidence: float, score: Callable[[Sighting], float]) -> Share:
@@ -169,11 +140,16 @@ class Sizes:
 
     Attributes:
         px: (n,) longer sides of their boxes, px.
-        times: Their times of day.
+        strata: Their strata, see `insert_trials.stratum`.
     """
 
     px: FloatArray
-    times: Sequence[str]
+    strata: Sequence[str]
+
+
+def stratum_of(sighting: Sighting) -> str:
+    """Return the stratum of an object, see `insert_trials.stratum`."""
+    return stratum(sighting.conditions["time"], sighting.conditions["edge"])
 
 
 def by_overlap(sighting: Sighting) -> float:
@@ -198,9 +174,9 @@ def run_trials(
     """
     sizes = sizes_of(trials, settings)
     wanted = _FIRST
+    share: Share | None = None
     for _ in trials.rounds(seed, settings.most_rounds):
         inserted = len(trials.inserted)
-        share = None
         if inserted >= wanted:
             share = Comparison.of(trials.inserted, (), sizes).predicted(settings.confidence, by_overlap)
             wanted = inserted + _MORE
@@ -223,24 +199,6 @@ def _needed(share: Share | None, until: float) -> int:
 def sizes_of(trials: Trials, settings: DetectabilitySettings) -> Sizes | None:
     """Return the sizes to weight the inserted objects by; None to leave them as they are."""
     return Sizes(*trials.labelled_sizes()) if settings.sizes == "real" else None
-
-
-class MeasuredFacts(TypedDict):
-    """What trials measured, see docs/explanation/detectability.md."""
-
-    category: str
-    confidence: float
-    least_overlap: float
-    recall: RecallFacts
-    at_place: RecallFacts
-    confidences: list[AlarmFacts]
-    cells: list[CellFacts]
-    tracks: RecallFacts | None
-    counted: CountFacts
-    pictures: int
-    weighted_by: str
-    real_of_other_sizes: int
-    not_counted: dict[str, int]
 
 
 def measured_facts(trials: Trials, settings: DetectabilitySettings) -> MeasuredFacts:
@@ -292,7 +250,7 @@ def _cells(
             sizes = None
             if weighted and theirs:
                 px = np.array([s.size_px for s in theirs], np.float64)
-                sizes = Sizes(px, [s.conditions["time"] for s in theirs])
+                sizes = Sizes(px, [stratum_of(s) for s in theirs])
             facts = Comparison.of(ours, theirs, sizes).recall(settings.confidence, by_overlap)
             yield CellFacts(**facts, by=by, value=value)
 

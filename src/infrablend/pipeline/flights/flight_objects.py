@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypedDict
 
 import numpy as np
 
 from infrablend.core.boxes import polygon_area
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.ground_position import LocalFrame, footprint, ground_of_pixels, ground_pixel_m, position_covariance
+from infrablend.core.ground_position import LocalFrame, footprint
 from infrablend.detection.detections import Predictions
 from infrablend.detection.truth import image_key
 from infrablend.formats.values import to_time
 from infrablend.pipeline.flights.flight_poses import FlightPoses
-from infrablend.pipeline.flights.placed_detections import ground_contact
-from infrablend.pipeline.flights.same_object import Sighting, count_objects
+from infrablend.pipeline.flights.placed_detections import PlacedDetection
+from infrablend.pipeline.flights.same_object import FlightObject, Sighting, count_objects
 
 # Errors of a box, as a share of its longer side: of its middle, and if the edge of the picture cuts it.
 _BOX = 0.1
@@ -66,54 +65,34 @@ class FlightObjectFacts(TypedDict):
     objects: list[ObjectFacts]
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Detections on one map.
-
-    Attributes:
-        names: `<picture> <number>` of each.
-        sightings: Their places.
-        area_m2: Ground that the pictures show.
-    """
-
-    names: list[str]
-    sightings: list[Sighting]
-    area_m2: float
-
-
 def count_flight(
-    predictions: Predictions, images: Sequence[ImageRecord], own: FlightPoses, speed_m_s: float
+    placed: Sequence[PlacedDetection],
+    predictions: Predictions,
+    images: Sequence[ImageRecord],
+    own: FlightPoses,
+    speed_m_s: float,
 ) -> FlightObjectFacts:
     """Return the objects behind the detections of a flight.
 
     Args:
-        predictions: The detections to count.
+        placed: The detections on the ground, by `own`.
+        predictions: The same in the pictures.
         images: The pictures.
         own: Poses for joining, as `aligned_poses` has them.
         speed_m_s: How fast things move at most; 0 if none do.
     """
     times = _times(images)
-    maps = [_seen(predictions, own, times, frame) for frame in dict.fromkeys(own.frames.values())]
-    counts = [count_objects(m.sightings, m.area_m2, speed_m_s) for m in maps]
     objects: list[ObjectFacts] = []
-    for frame, seen, count in zip(dict.fromkeys(own.frames.values()), maps, counts, strict=True):
-        for one in count.objects:
-            latitude, longitude = frame.to_degrees(*one.place_m).tolist()
-            objects.append(
-                {
-                    "number": len(objects),
-                    "category": one.category,
-                    "latitude": round(latitude, 7),
-                    "longitude": round(longitude, 7),
-                    "sightings": [seen.names[k] for k in one.sightings],
-                    "moves": one.moves,
-                    "speed_m_s": round(one.speed_m_s, 2),
-                    "ambiguous": one.ambiguous,
-                }
-            )
-    pictures = sum(key in own.known for key in predictions.images)
+    counts = []
+    for frame in dict.fromkeys(own.frames.values()):
+        keys = [k for k, f in own.frames.items() if f == frame]
+        area = sum(abs(polygon_area(footprint(own.known[k], frame))) for k in keys)
+        here = [p for p in placed if own.frames[p.picture] == frame]
+        count = count_objects([_sighting(p, predictions, frame, times) for p in here], max(area, 1.0), speed_m_s)
+        counts.append(count)
+        objects += [_facts(len(objects) + n, one, here, frame) for n, one in enumerate(count.objects)]
     return {
-        "per_picture": round(sum(len(m.sightings) for m in maps) / max(pictures, 1), 3),
+        "per_picture": round(len(placed) / max(len(own.known), 1), 3),
         "expected": round(sum(c.expected for c in counts), 1),
         "fewest": sum(c.fewest for c in counts),
         "most": sum(c.most for c in counts),
@@ -121,30 +100,27 @@ def count_flight(
     }
 
 
-def _seen(predictions: Predictions, own: FlightPoses, times: Mapping[str, float], frame: LocalFrame) -> _Seen:
-    names: list[str] = []
-    sightings: list[Sighting] = []
-    area = 0.0
-    for key, found in sorted(predictions.images.items()):
-        pose = own.known.get(key)
-        if pose is None or own.frames[key] != frame:
-            continue
-        area += abs(polygon_area(footprint(pose, frame)))
-        xy = ground_contact(found.boxes_xyxy, pose)
-        places = ground_of_pixels(pose, frame, xy)
-        covariances = position_covariance(pose, frame, xy) if len(xy) else np.zeros((0, 2, 2))
-        sides = (found.boxes_xyxy[:, 2:] - found.boxes_xyxy[:, :2]).max(axis=1, initial=0.0) * ground_pixel_m(pose, xy)
-        inside = np.concatenate(
-            [found.boxes_xyxy[:, :2] - 1, np.array(pose.size_wh) - 1 - found.boxes_xyxy[:, 2:]], axis=1
-        )
-        cut = inside.min(axis=1, initial=1.0) < 0
-        for k in np.flatnonzero(np.isfinite(places).all(axis=1)).tolist():
-            of_box = (float(sides[k]) * (_CUT if cut[k] else _BOX)) ** 2 * np.eye(2)
-            category = predictions.classes[int(found.classes[k])]
-            covariance = covariances[k] + of_box
-            sightings.append(Sighting(key, times.get(key), places[k], covariance, float(sides[k]), category))
-            names.append(f"{key} {k}")
-    return _Seen(names, sightings, max(area, 1.0))
+def _sighting(p: PlacedDetection, predictions: Predictions, frame: LocalFrame, times: Mapping[str, float]) -> Sighting:
+    """Return a detection with the errors of its pose and its box."""
+    box = predictions.images[p.picture].boxes_xyxy[p.number]
+    cut = bool((box[:2] < 1).any() or (box[2:] > np.array(predictions.sizes_wh[p.picture]) - 1).any())
+    of_box = (p.size_m * (_CUT if cut else _BOX)) ** 2 * np.eye(2)
+    place = frame.to_metres(p.latitude_deg, p.longitude_deg)
+    return Sighting(p.picture, times.get(p.picture), place, p.ellipse.covariance() + of_box, p.size_m, p.category)
+
+
+def _facts(number: int, one: FlightObject, placed: Sequence[PlacedDetection], frame: LocalFrame) -> ObjectFacts:
+    latitude, longitude = frame.to_degrees(*one.place_m).tolist()
+    return {
+        "number": number,
+        "category": one.category,
+        "latitude": round(latitude, 7),
+        "longitude": round(longitude, 7),
+        "sightings": [f"{placed[k].picture} {placed[k].number}" for k in one.sightings],
+        "moves": one.moves,
+        "speed_m_s": round(one.speed_m_s, 2),
+        "ambiguous": one.ambiguous,
+    }
 
 
 def _times(images: Sequence[ImageRecord]) -> dict[str, float]:

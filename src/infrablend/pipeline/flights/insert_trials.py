@@ -19,6 +19,7 @@ from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import ImageRecord, Instance, known_class
 from infrablend.core.ground_position import ground_pixel_m, pose_of
 from infrablend.core.rng import stream
+from infrablend.core.scene import ObjectSpec
 from infrablend.core.temperature import TemperatureScale
 from infrablend.detection.detections import Detections, FloatArray
 from infrablend.detection.matching import box_overlaps
@@ -27,6 +28,7 @@ from infrablend.detection.truth import class_key, image_key
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures.images import load_background
 from infrablend.pipeline.compose.memory_frames import Frame, Frames
+from infrablend.thermal.radiometry import ZERO_C_K
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -35,7 +37,10 @@ _CONTRAST_GREY = (0.0, 15.0, 30.0, 60.0, 120.0)
 _VISIBLE = (0.0, 0.5, 0.8, 0.999)
 GROUND_PIXEL_CM = (0.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0)
 """Edges of the ranges of what a pixel covers of the ground, across the line of sight."""
+_AIR_C = (-40.0, -10.0, 0.0, 10.0, 20.0, 30.0)
 UNKNOWN_TIME = "unknown"
+# A box that is nearer to the edge of its picture is cut by it: labels end a pixel or two before it.
+_EDGE_PX = 2.0
 
 
 class Finder(Protocol):
@@ -182,14 +187,14 @@ class Trials:
         return [sighting for picture in self.searched.values() for sighting in picture.real]
 
     def labelled_sizes(self) -> tuple[FloatArray, list[str]]:
-        """Return the sizes of all labelled objects of the class, px, and their times of day."""
+        """Return the sizes of all labelled objects of the class, px, and their strata, see `stratum`."""
         pairs = [
-            (_size_px(image, instance), image.capture.time_of_day or UNKNOWN_TIME)
+            (_size_px(image, instance), stratum(image.capture.time_of_day or UNKNOWN_TIME, at_edge(image, instance)))
             for image in self.images()
             for instance in image.instances
             if self.rules.is_class(instance.category) and not instance.is_crowd
         ]
-        return np.array([size for size, _ in pairs], np.float64), [time for _, time in pairs]
+        return np.array([size for size, _ in pairs], np.float64), [name for _, name in pairs]
 
     def _sighting(
         self, image: ImageRecord, instance: Instance, score: float, near: float, frame: Frame | None = None,
@@ -198,16 +203,16 @@ class Trials:
         key = image_key(image)
         capture = image.capture
         middle = (instance.box_xyxy[:2] + instance.box_xyxy[2:]) / 2
-        conditions = look_conditions(image, middle[None])[0]
-        if capture.altitude_m is not None:
-            conditions["height"] = f"{capture.altitude_m:.0f} m"
+        conditions = look_conditions(image, middle[None])[0] | {"edge": at_edge(image, instance)}
         if capture.pitch_deg is not None:
             conditions["pitch"] = f"{capture.pitch_deg:.0f} degrees"
         track = ""
         if frame is not None and frame.scene is not None:
             number = int(instance.extra["object"])
             spec = frame.scene.objects[number]
-            conditions["target"] = str(spec.params.get("pose", spec.params.get("variant", spec.model)))
+            conditions |= _described(spec)
+            if frame.scene.weather is not None:
+                conditions["air"] = in_range(frame.scene.weather.air_k - ZERO_C_K, _AIR_C, "degrees Celsius")
             if "contrast_grey" in instance.extra:
                 conditions["contrast"] = in_range(float(instance.extra["contrast_grey"]), _CONTRAST_GREY, "levels")
             if instance.visibility is not None:
@@ -228,20 +233,46 @@ class Trials:
         )
 
 
+def _described(spec: ObjectSpec) -> dict[str, str]:
+    """Return what an inserted object is: its target, such as `lying` or `lying child`, and its clothing."""
+    params = spec.params
+    target = str(params.get("pose", params.get("variant", spec.model)))
+    if params.get("age") == "child":
+        target += " child"
+    return {"target": target, **({"clothing": str(params["clothing"])} if "clothing" in params else {})}
+
+
 def look_conditions(image: ImageRecord, xy: FloatArray) -> list[dict[str, str]]:
     """Return what is known of a look at each of (n, 2) places of a picture, px, whatever is there.
 
-    The time of day, and the ground that a pixel covers where the camera's pose is known.
+    The time of day, the height of the camera, and the ground that a pixel covers where the camera's pose is known.
     """
-    time = {"time": image.capture.time_of_day or UNKNOWN_TIME}
+    of_all = {"time": image.capture.time_of_day or UNKNOWN_TIME}
+    if image.capture.altitude_m is not None:
+        of_all["height"] = f"{image.capture.altitude_m:.0f} m"
     pose = pose_of(image)
     if isinstance(pose, str):
-        return [dict(time) for _ in xy]
+        return [dict(of_all) for _ in xy]
     found = []
     for ground_m in ground_pixel_m(pose, xy):
         known = {"ground pixel": in_range(100 * ground_m, GROUND_PIXEL_CM, "cm")} if np.isfinite(ground_m) else {}
-        found.append(time | known)
+        found.append(of_all | known)
     return found
+
+
+def at_edge(image: ImageRecord, instance: Instance) -> str:
+    """Return `cut` for an object whose box reaches the picture's edge, else `whole`."""
+    if image.size_wh is None:
+        return "whole"
+    inner = (instance.box_xyxy[:2] > _EDGE_PX).all() and (
+        instance.box_xyxy[2:] < np.array(image.size_wh) - _EDGE_PX
+    ).all()
+    return "whole" if inner else "cut"
+
+
+def stratum(time: str, edge: str) -> str:
+    """Return the name of the objects that are compared with each other: those of a time of day, cut ones apart."""
+    return f"{time}, {edge}"
 
 
 def in_range(value: float, edges: Sequence[float], unit: str = "") -> str:

@@ -32,8 +32,9 @@ from infrablend.core.ground_position import (
 )
 from infrablend.core.mesh import FloatArray
 from infrablend.detection.detections import Detections, Predictions
-from infrablend.errors import Problem
+from infrablend.errors import DatasetError, Problem
 from infrablend.formats.maps.map_files import MapFeature, write_geojson, write_gpx, write_kml
+from infrablend.pipeline.flights.aligned_poses import align_poses
 from infrablend.pipeline.flights.flight_poses import FlightPoses, find_poses
 from infrablend.pipeline.flights.place_settings import PlaceSettings
 from infrablend.pipeline.flights.terrain import Terrain, on_terrain
@@ -85,11 +86,15 @@ class FlightPlaces:
         poses: Poses of its pictures.
         placed: Detections that have a place.
         problems: Warnings about pictures and detections without one, and about what is taken for granted.
+        joining: Poses by which pictures are compared with each other, see `aligned_poses`.
+        joined: The detections that have a place, by these.
     """
 
     poses: FlightPoses
     placed: Sequence[PlacedDetection]
     problems: Sequence[Problem]
+    joining: FlightPoses
+    joined: Sequence[PlacedDetection]
 
     def stated_errors(self) -> list[tuple[str, float, str, int]]:
         """Return the standard errors that ellipses follow from: name, value, source and number of pictures."""
@@ -122,16 +127,22 @@ def place_flight(
 
     Raises:
         MissingDependencyError: A height model is given, and rasterio is not installed.
-        DatasetError: The height model cannot be used.
     """
-    poses = find_poses(images, settings.errors)
-    problems = []
+    shown = {key for key, found in predictions.images.items() if len(found)}
+    aligned = align_poses(where, images, find_poses(images, settings.errors), shown)
+    poses = aligned.poses
+    problems = list(aligned.problems)
     terrain = None
     if settings.terrain is not None and poses.known:
-        poses, terrain = on_terrain(Path(settings.terrain), images, poses, settings.take_off)
+        try:
+            poses, terrain = on_terrain(Path(settings.terrain), images, poses, settings.take_off)
+        except DatasetError as error:
+            # What was found stays, but has no places: those on level ground were not asked for.
+            poses = FlightPoses({}, {}, {})
+            problems += error.problems
         if settings.take_off is None:
             found = "the place of take-off is not known, and is taken to be that of each flight's first picture"
-            problems.append(Problem(where, "take-off", found, "it", "give --take-off LAT,LON", "warning"))
+            problems.append(Problem(where, "take-off", found, "", "give --take-off LAT,LON", "warning"))
     placed, nowhere = place_detections(predictions, poses, terrain)
     for lacking, keys in itertools.groupby(
         sorted(poses.lacking, key=lambda k: (poses.lacking[k], k)), poses.lacking.get
@@ -144,7 +155,9 @@ def place_flight(
         found = f"no place for {nowhere} of {nowhere + len(placed)} detections in pictures on the map"
         expected = f"ground {LEAST_DEPRESSION_DEG:g} degrees or more below the horizon, and in the height model"
         problems.append(Problem(where, "no-place", found, expected, severity="warning"))
-    return FlightPlaces(poses, placed, problems)
+    joining = replace(aligned.own, known={k: aligned.own.known[k] for k in poses.known}, frames=poses.frames)
+    joined, _ = place_detections(predictions, joining, terrain)
+    return FlightPlaces(poses, placed, problems, joining, joined)
 
 
 def place_detections(

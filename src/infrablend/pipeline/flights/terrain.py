@@ -121,7 +121,8 @@ def on_terrain(
         if capture.altitude_from == "take-off" and math.isnan(base):
             found = "no height at take-off, {:.5f}, {:.5f}".format(*reference)
             expected = "a height model that covers take-off and flight"
-            raise DatasetError(f"{path}: cannot be used", [Problem(path.name, "terrain", found, expected)])
+            todo = "take a larger model, or give --take-off LAT,LON"
+            raise DatasetError(f"{path}: cannot be used", [Problem(path.name, "terrain", found, expected, todo)])
         camera_z[key] = base + pose.height_m
         height = Terrain(grids, camera_z).height_m(key, pose, frame, middle)
         if math.isnan(height):

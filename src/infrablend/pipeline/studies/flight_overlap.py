@@ -34,6 +34,7 @@ _ROW = 6
 _PAIRS_EACH = 4
 # Pictures that follow each other at less than this share of their shorter side show almost the same.
 _STEP = 0.1
+_USUAL_STEP = 0.3
 _LEAST = 4
 _LASER_M = 1.0
 _BAROMETER_M = 2.0
@@ -51,12 +52,20 @@ def glance_at_overlap(images: Sequence[ImageRecord]) -> list[OverlapValue] | str
     if len(known) < _LEAST:
         down = f"look straight down to {MOST_TILT_DEG:g} degrees, and state their yaw"
         return f"{len(known)} of {len(placed)} pictures with a position {down}, where yaw and lens follow from overlap"
-    chosen = _rows(known)
-    places = _places(chosen)
-    links = link_pictures(chosen, places, chosen[0].capture.hfov_deg, _PAIRS)
-    assert chosen[0].size_wh is not None
-    found = fit_overlap(places, links, chosen[0].size_wh)
+    ordered = sorted(known, key=flight_order)
+    size_wh, lens = ordered[0].size_wh, ordered[0].capture.hfov_deg
+    assert size_wh is not None
+    every = _places(ordered)
+    rows = spread_rows(every, shorter_side(size_wh, lens))
+    chosen = [ordered[k] for k in rows]
+    places = [every[k] for k in rows]
+    found = fit_overlap(places, link_pictures(chosen, places, lens, _PAIRS), size_wh)
     return found if isinstance(found, str) else offered_values(found, chosen)
+
+
+def flight_order(image: ImageRecord) -> tuple[str, int, str]:
+    """Return what to sort pictures of flights by."""
+    return image.capture.sequence or "", image.capture.frame or 0, image.id
 
 
 def _looks_down(c: Capture) -> bool:
@@ -83,37 +92,43 @@ def link_pictures(
 
 
 def _places(images: Sequence[ImageRecord]) -> list[Place]:
-    """Return what pictures state that look straight down; without all heights, metres are those of one metre."""
+    """Return what pictures state that look straight down.
+
+    Unless all state their height, it is taken to be such that pictures overlap by 70 %; the ground pixel does not
+    depend on it.
+    """
     captures = [i.capture for i in images]
-    without = any(c.altitude_m is None for c in captures)
-    origin = captures[0].place
-    assert origin is not None
-    frame = LocalFrame(*origin)
+    size_wh, origin = images[0].size_wh, captures[0].place
+    assert size_wh is not None and origin is not None
+    at = LocalFrame(*origin).to_metres(*(np.array([c.place for c in captures], np.float64).T))
+    heights = [c.altitude_m for c in captures]
+    if None in heights:
+        step = float(np.median(np.linalg.norm(np.diff(at, axis=0), axis=1)))
+        heights = [step / _USUAL_STEP / shorter_side(size_wh, captures[0].hfov_deg)] * len(images)
     found = []
-    for c in captures:
-        assert c.place is not None and c.pitch_deg is not None and c.yaw_deg is not None
-        east, north = frame.to_metres(*c.place).tolist()
-        height = 1.0 if without or c.altitude_m is None else c.altitude_m
+    for c, (east, north), height in zip(captures, at.tolist(), heights, strict=True):
+        assert c.pitch_deg is not None and c.yaw_deg is not None and height is not None
         # Straight down, a roll only turns the picture.
         found.append(Place(east, north, c.yaw_deg + (c.roll_deg or 0.0), height, STRAIGHT_DOWN_DEG - c.pitch_deg))
     return found
 
 
-def _rows(images: Sequence[ImageRecord]) -> list[ImageRecord]:
-    """Return some pictures: rows of such as follow each other at some distance, spread over the flight."""
-    ordered = sorted(images, key=lambda i: (i.capture.sequence or "", i.capture.frame or 0, i.id))
-    places = _places(ordered)
-    assert ordered[0].size_wh is not None
-    side = shorter_side(ordered[0].size_wh, ordered[0].capture.hfov_deg)
+def spread_rows(places: Sequence[Place], side: float) -> list[int]:
+    """Return numbers of some pictures: rows of such as follow each other at some distance, spread over the flight.
+
+    Args:
+        places: Places of the pictures in the order of the flight.
+        side: Ground along the shorter side of a picture, per height.
+    """
     kept = [0]
-    for k in range(1, len(ordered)):
-        way = math.hypot(places[k].east_m - places[kept[-1]].east_m, places[k].north_m - places[kept[-1]].north_m)
-        if way > _STEP * side * (ordered[k].capture.altitude_m or 0.0) and way > 0:
+    for k, place in enumerate(places):
+        way = math.hypot(place.east_m - places[kept[-1]].east_m, place.north_m - places[kept[-1]].north_m)
+        if way > _STEP * side * place.height_m:
             kept.append(k)
     if len(kept) > _PICTURES:
         begins = np.linspace(0, len(kept) - _ROW, _PICTURES // _ROW).astype(int).tolist()
         kept = sorted({kept[b + n] for b in begins for n in range(_ROW)})
-    return [ordered[k] for k in kept]
+    return kept
 
 
 def offered_values(found: Overlap, images: Sequence[ImageRecord]) -> list[OverlapValue]:

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.command_line import said
-from tests.onnx_files import write_cells
 
 from infrablend.config.agc import LinearAgc
 from infrablend.core.dataset import Dataset
@@ -22,6 +20,8 @@ from infrablend.formats.dataset_folder import read
 from infrablend.formats.pictures.images import png_bytes
 from infrablend.pipeline.flights.detect import DetectReport, detect_objects
 from infrablend.pipeline.flights.detect_request import DetectRequest
+from tests.command_line import said
+from tests.onnx_files import write_cells
 
 CELLS = {"a": [(8, 16)], "b": [(40, 40), (56, 0)], "c": []}
 """Left and top edge of the bright cells of each picture of 96x80 px."""

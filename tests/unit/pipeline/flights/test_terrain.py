@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,10 +14,11 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.ground_position import LocalFrame
 from infrablend.detection.detections import Predictions, detections
-from infrablend.errors import DatasetError
+from infrablend.errors import DatasetError, MissingDependencyError
 from infrablend.formats.maps.height_model import HeightGrid, read_heights
 from infrablend.pipeline.flights.flight_poses import find_poses
-from infrablend.pipeline.flights.placed_detections import place_detections
+from infrablend.pipeline.flights.place_settings import PlaceSettings
+from infrablend.pipeline.flights.placed_detections import place_detections, place_flight
 from infrablend.pipeline.flights.terrain import drop_m, on_terrain
 
 pytest.importorskip("rasterio")
@@ -137,3 +139,19 @@ def test_what_the_model_does_not_cover_is_refused_or_named(tmp_path: Path) -> No
     (tmp_path / "x.tif").write_bytes(b"II*\0")
     with pytest.raises(DatasetError, match="not a height model"):
         on_terrain(tmp_path / "x.tif", [image], poses, None)
+
+
+def test_detections_stay_where_the_model_is_refused(tmp_path: Path) -> None:
+    settings = PlaceSettings(terrain=write_model(tmp_path / "m.tif", ramp), take_off=(46.6, 11.3))
+    places = place_flight("flight", [a_picture()], middle_of("a"), settings)
+    assert [(p.code, p.severity) for p in places.problems] == [("terrain", "error")]
+    assert (len(places.placed), places.to_json()["pictures"]) == (0, 0)
+    assumed = place_flight("flight", [a_picture()], middle_of("a"), PlaceSettings(terrain=settings.terrain))
+    assert [p.code for p in assumed.problems] == ["take-off"]
+    assert len(assumed.placed) == 1
+
+
+def test_rasterio_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with pytest.raises(MissingDependencyError, match=r"infrablend\[terrain\]"):
+        read_heights(tmp_path / "m.tif", FRAME, np.zeros(2), np.ones(2))
