@@ -7,6 +7,7 @@ from pathlib import Path
 from infrablend.api.datasets import read_dataset
 from infrablend.core.output_checks import require_apart
 from infrablend.core.tasks import OnProgress
+from infrablend.formats.dataset_folder import with_every_frame
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.flights.detect import DetectReport, detect_objects
 from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
@@ -37,6 +38,8 @@ def detect(
     which need `infrablend[train]`; or detections in COCO, such as the predictions.json of an earlier call. Where
     pictures state their position, height, angles and lens, detections get a place each, and maps are written.
     """
+    if request.tracks:
+        reading = with_every_frame(reading, Path(data))
     dataset = read_dataset(data, reading)
     return detect_objects(
         Path(detector), dataset, Path(out), request, places,

@@ -73,14 +73,14 @@ class OnnxDetector:
             seen = np.asarray(cv2.resize(levels, scaled.tolist(), interpolation=cv2.INTER_LINEAR), np.uint8)
         scale = np.array(seen.shape[::-1]) / size
         found: list[tuple[NDArray[Any], ...]] = []
-        for n, window in enumerate(windows((seen.shape[1], seen.shape[0]), self.side_wh, self.overlap_px)):
+        tiles = windows((seen.shape[1], seen.shape[0]), self.side_wh, self.overlap_px)
+        for n, window in enumerate(tiles):
             boxes, scores, numbers = self._in_tile(window.crop(seen, self.side_wh), confidence)
             boxes = boxes + np.tile(np.array(window.origin_xy, np.float64), 2)
             own = window.owns(boxes)
             found.append((boxes[own], scores[own], numbers[own], np.full(int(own.sum()), n, np.int64)))
-        boxes, scores, numbers, tiles = (np.concatenate(column) for column in zip(*found, strict=True))
-        kept = joined(boxes, scores, numbers, tiles) if len(found) > 1 else np.argsort(-scores, kind="stable")
-        kept = kept[:MAX_DETECTIONS]
+        boxes, scores, numbers, owner = (np.concatenate(column) for column in zip(*found, strict=True))
+        kept = joined(boxes, scores, numbers, owner, tiles)[:MAX_DETECTIONS]
         edges = (boxes[kept].reshape(-1, 2, 2) / scale).clip(0, size).reshape(-1, 4)
         return detections(edges, scores[kept], numbers[kept])
 

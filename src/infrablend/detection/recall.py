@@ -17,6 +17,10 @@ from numpy.typing import NDArray
 
 from infrablend.detection.detections import FloatArray
 
+# Mean number of real objects in a bin of sizes, and of inserted ones, at least: with fewer, a few of them would weigh
+# as much as all others.
+_LEAST_REAL = 20
+_LEAST_INSERTED = 15
 Z95 = 1.959964
 """Quantile of the normal distribution for intervals of 95 %."""
 
@@ -119,7 +123,7 @@ def weights_of_sizes(
         strata: n strata, such as times of day.
         real_px: (m,) sizes of the real objects.
         real_strata: m strata of the real objects.
-        bins: Most bins of a stratum; each has some 20 real objects.
+        bins: Most bins of a stratum.
 
     Returns:
         (n,) weights, which add up to the real objects that are represented, and the number of the others: of sizes or
@@ -130,14 +134,15 @@ def weights_of_sizes(
     stratum, real_stratum = np.asarray(strata), np.asarray(real_strata)
     for name in sorted(set(real_strata)):
         real = real_px[real_stratum == name]
-        edges = np.quantile(real, np.linspace(0, 1, max(1, min(bins, len(real) // 20)) + 1)[1:-1])
         inserted = np.flatnonzero((stratum == name) & (sizes_px >= real.min()) & (sizes_px <= real.max()))
+        count = max(1, min(bins, len(real) // _LEAST_REAL, len(inserted) // _LEAST_INSERTED))
+        edges = np.quantile(real, np.linspace(0, 1, count + 1)[1:-1])
         of_inserted = np.searchsorted(edges, sizes_px[inserted], side="right")
         of_real = np.bincount(np.searchsorted(edges, real, side="right"), minlength=len(edges) + 1)
-        for k, count in enumerate(of_real):
+        for k, reals in enumerate(of_real):
             its = inserted[of_inserted == k]
             if len(its):
-                weights[its] = count / len(its)
+                weights[its] = reals / len(its)
             else:
-                left_out += int(count)
+                left_out += int(reals)
     return weights, left_out

@@ -19,8 +19,8 @@ from infrablend.detection.detections import FloatArray
 from infrablend.detection.predict import fitted_size
 from infrablend.detection.tiles import PAD_GREY
 
-# Two tiles place the same object a pixel or two apart: without this, both may take its centre for the other's.
-_SHARED_PX = 4.0
+# Two tiles place the same object some pixels apart: without a part that both keep, both might take it for the other's.
+_SHARED = 1 / 8  # of the overlap, on each side of its middle
 # Boxes of two tiles that overlap more are the same object; people who stand side by side overlap less.
 _SAME_IOU = 0.5
 _STRIDE = 32
@@ -70,19 +70,37 @@ def _along(size: int, side: int, overlap: int) -> list[tuple[int, float, float]]
     steps = math.ceil((padded - side) / _STRIDE)
     tiles = math.ceil((padded - side) / (side - min(overlap + _STRIDE, side // 2))) + 1
     origins = (_STRIDE * np.linspace(0, steps, tiles).round().astype(int) - border).tolist()
-    middles = [(a + side + b) / 2 for a, b in pairwise(origins)]
-    begins = [-math.inf, *(m - _SHARED_PX for m in middles)]
-    ends = [*(m + _SHARED_PX for m in middles), math.inf]
+    seams = [((a + side + b) / 2, _SHARED * (a + side - b)) for a, b in pairwise(origins)]
+    begins = [-math.inf, *(middle - shared for middle, shared in seams)]
+    ends = [*(middle + shared for middle, shared in seams), math.inf]
     return list(zip(origins, begins, ends, strict=True))
 
 
 def joined(
-    boxes_xyxy: FloatArray, scores: FloatArray, classes: NDArray[np.int64], tiles: NDArray[np.int64]
+    boxes_xyxy: FloatArray,
+    scores: FloatArray,
+    classes: NDArray[np.int64],
+    owner: NDArray[np.int64],
+    tiles: list[Window],
 ) -> NDArray[np.int64]:
-    """Return the indices of the (n,) boxes of all tiles without doubles: each object once, highest score first."""
-    kept: list[int] = []
-    for k in np.argsort(-scores, kind="stable").tolist():
-        rivals = [i for i in kept if classes[i] == classes[k] and tiles[i] != tiles[k]]
-        if not rivals or box_iou(boxes_xyxy[rivals], boxes_xyxy[k][None]).max() <= _SAME_IOU:
-            kept.append(k)
-    return np.array(kept, np.int64)
+    """Return the indices of the boxes of all tiles without doubles, highest score first.
+
+    Args:
+        boxes_xyxy: (n, 4) boxes, px of the picture.
+        scores: (n,) scores.
+        classes: (n,) classes.
+        owner: (n,) number of the tile that each box is from.
+        tiles: The tiles.
+    """
+    order = np.argsort(-scores, kind="stable")
+    there = np.ones(len(scores), np.bool_)
+    several = np.sum([tile.owns(boxes_xyxy) for tile in tiles], axis=0) > 1
+    left, right = boxes_xyxy[:, 0], boxes_xyxy[:, 2]
+    for k in order[several[order]]:
+        if there[k]:
+            beside = (left < right[k]) & (right > left[k])  # of the many, few; their overlap is worth computing
+            others = np.flatnonzero(there & beside & (classes == classes[k]) & (owner != owner[k]))
+            same = others[box_iou(boxes_xyxy[others], boxes_xyxy[k][None])[:, 0] > _SAME_IOU]
+            there[same[scores[same] <= scores[k]]] = False
+            there[k] = not there[same].any()
+    return np.asarray(order[there[order]])

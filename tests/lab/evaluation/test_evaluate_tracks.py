@@ -13,10 +13,11 @@ import pytest
 
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.detection import tracking
 from infrablend.detection.detections import Detections, Predictions, detections, write_predictions
 from infrablend.errors import DatasetError, MissingDependencyError
 from infrablend.lab.evaluation import evaluate as pipeline
-from infrablend.lab.evaluation import evaluated_tracks, tracking
+from infrablend.lab.evaluation import evaluated_tracks
 from infrablend.lab.evaluation.evaluate import evaluate_detector
 from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings
 
@@ -37,7 +38,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
     monkeypatch.setattr(pipeline, "missing_packages", lambda: ["ultralytics", "torch"])
     monkeypatch.setattr(pipeline, "draw_plots", lambda facts: {"pr.png": b"", "confusion.png": b""})
-    monkeypatch.setattr(pipeline, "require_trackers", lambda: None)
+    monkeypatch.setattr(pipeline, "require_trackers", lambda *_: None)
     monkeypatch.setattr(evaluated_tracks, "tracker_settings", lambda name: {"tracker_type": name, "track_buffer": 30})
     monkeypatch.setattr(evaluated_tracks, "follow", follow)
     return followed

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from math import inf
 
 import numpy as np
 import pytest
 
-from infrablend.detection.seams import joined, windows
+from infrablend.detection.seams import Window, joined, windows
 
 SIZES = [(640, 512), (641, 640), (1280, 1024), (3000, 700), (64, 48)]
 
@@ -50,10 +51,33 @@ def test_every_place_has_an_owner_that_shows_its_surroundings(size: tuple[int, i
 
 
 def test_the_same_object_in_two_tiles_is_one_and_neighbours_stay() -> None:
+    left, right = Window((0, 0), (-inf, -inf, 116, inf)), Window((96, 0), (100, -inf, inf, inf))
     boxes = np.array([[100, 50, 112, 80], [101, 50, 113, 81], [110, 50, 122, 80], [100, 50, 112, 80]], np.float64)
     scores = np.array([0.6, 0.8, 0.5, 0.4])
     classes = np.array([0, 0, 0, 1])
     # The first two are one person in two tiles, the third stands beside it, the fourth is another class.
-    assert joined(boxes, scores, classes, np.array([0, 1, 1, 0])).tolist() == [1, 2, 3]
+    assert joined(boxes, scores, classes, np.array([0, 1, 1, 0]), [left, right]).tolist() == [1, 2, 3]
     # Within a tile, the network's own suppression decides.
-    assert joined(boxes, scores, classes, np.array([0, 0, 0, 0])).tolist() == [1, 0, 2, 3]
+    assert joined(boxes, scores, classes, np.array([0, 0, 0, 0]), [left, right]).tolist() == [1, 0, 2, 3]
+
+
+def test_the_higher_score_stays_whichever_tile_keeps_more() -> None:
+    left, right = Window((0, 0), (-inf, -inf, 116, inf)), Window((96, 0), (100, -inf, inf, inf))
+    # Both tiles would keep the first; the second has its middle beyond what the left one keeps.
+    boxes = np.array([[99, 50, 129, 80], [104, 50, 134, 80]], np.float64)
+    for scores, kept in ((np.array([0.6, 0.8]), [1]), (np.array([0.8, 0.6]), [0])):
+        assert joined(boxes, scores, np.zeros(2, np.int64), np.array([0, 1]), [left, right]).tolist() == kept
+
+
+def test_objects_that_are_apart_stay() -> None:
+    rng = np.random.default_rng(0)
+    tiles = windows((8000, 6000), (672, 672), 96)
+    boxes, owner = [], []
+    for n, tile in enumerate(tiles):
+        corner = rng.uniform(0, 660, (100, 2)) + tile.origin_xy
+        found = np.concatenate([corner, corner + 12], axis=1)
+        boxes.append(found[tile.owns(found)])
+        owner += [n] * len(boxes[-1])
+    every = np.concatenate(boxes)
+    kept = joined(every, rng.uniform(0, 1, len(every)), np.zeros(len(every), np.int64), np.array(owner), tiles)
+    assert 0.98 * len(every) < len(kept) <= len(every)

@@ -18,6 +18,7 @@ from infrablend.core.workspace import replacing, workspace
 from infrablend.detection.detection_source import DetectionSource, choose_task
 from infrablend.detection.detections import MATCHES, MAX_DETECTIONS, PREDICTIONS, RECORD, FloatArray, write_predictions
 from infrablend.detection.matching import LEVEL
+from infrablend.detection.tracking import require_trackers
 from infrablend.detection.truth import (
     Case,
     Truth,
@@ -49,7 +50,6 @@ from infrablend.lab.evaluation.evaluation_record import ClassRows, EvaluatedData
 from infrablend.lab.evaluation.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.lab.evaluation.small_targets import BODY_BINS, NO_BODY_PX, body_sizes
 from infrablend.lab.evaluation.stress import stress_facts
-from infrablend.lab.evaluation.tracking import require_trackers
 from infrablend.lab.pages.evaluation_page import draw_plots, evaluation_page
 from infrablend.lab.pages.stress_page import STRESS_PAGE, stress_page
 
@@ -100,7 +100,7 @@ def evaluate_detector(
     """Evaluate weights or saved detections on a split; see `infrablend.api.evaluate`."""
     started = time.monotonic()
     if settings.tracks:
-        require_trackers()
+        require_trackers("trackeval")
     rival = None if against is None else (against, *read_evaluation(against))
     problems: list[Problem] = []
     with workspace(out, "evaluation", RECORD, replacing(overwrite)) as space:

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from infrablend.core.dataset import ImageRecord
 from infrablend.detection.detections import Detections, FloatArray, Task
 from infrablend.detection.matching import draw_images, has_several_groups, interval, overlaps
+from infrablend.detection.tracking import follow, tracker_settings
 from infrablend.detection.truth import Case, Truth
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.sequence_writing import is_labelled
 from infrablend.lab.evaluation.evaluation_record import TrackFacts, TrackRow
 from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings
-from infrablend.lab.evaluation.tracking import follow, tracker_settings
 
 _SAID = {
     "pictures_without_sequence": "pictures without a sequence are left out of the tracks",

@@ -9,8 +9,8 @@ from typing import Literal, get_args
 from infrablend.core.arguments import require_names
 from infrablend.core.dataset import SPLITS
 from infrablend.detection.detections import Task
+from infrablend.detection.tracking import Tracker
 from infrablend.errors import DatasetError
-from infrablend.lab.evaluation.tracking import Tracker
 
 Group = Literal["image", "sequence", "date", "gap"]
 

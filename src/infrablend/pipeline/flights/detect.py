@@ -25,6 +25,7 @@ from infrablend.detection.detections import (
     write_predictions,
 )
 from infrablend.detection.finder import CONFIDENCE, Finder, load_finder
+from infrablend.detection.tracking import require_trackers, track_ids, tracker_settings
 from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.maps.height_model import load_rasterio
@@ -35,6 +36,7 @@ from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectReq
 from infrablend.pipeline.flights.flight_objects import FlightObjectFacts, count_flight
 from infrablend.pipeline.flights.place_settings import DEFAULT_PLACES, PlaceSettings
 from infrablend.pipeline.flights.placed_detections import FlightPlaces, draw_maps, place_flight, write_maps
+from infrablend.pipeline.plans.sequence_motion import sequences_of
 from infrablend.report.detections_page import PAGE, detections_page
 
 TABLE = "detections.csv"
@@ -110,10 +112,14 @@ def detect_objects(
     Raises:
         MissingDependencyError: A package or device is missing.
         ModelError: The detector cannot be used.
-        DatasetError: No picture can be searched.
+        DatasetError: No picture can be searched, or there are no sequences for tracks.
         OutputError: `out` has something that may not be replaced, or cannot be written.
     """
     require_apart(dataset.root, out)
+    sequences = {}
+    if request.tracks:
+        require_trackers()
+        sequences = sequences_of(dataset)
     problems = list(dataset.problems)
     if settings.terrain is not None:
         load_rasterio()
@@ -138,7 +144,8 @@ def detect_objects(
         write_predictions(space.folder / PREDICTIONS, predictions)
         kept = replace(predictions, images=shown)
         objects = count_flight(places.joined, kept, searched, places.joining, settings.speed) if places.joined else None
-        write_text(space.folder / TABLE, _table(searched, shown, predictions.classes, places, objects))
+        tracks = _tracks(sequences, predictions)
+        write_text(space.folder / TABLE, _table(searched, shown, predictions.classes, places, objects, tracks))
         if places.poses.known:
             write_maps(space.folder, places.poses, places.placed)
         with_some = sum(bool(len(found)) for found in shown.values())
@@ -255,12 +262,28 @@ def _remarks(predictions: Predictions, total: Mapping[str, int], confidence: flo
     return remarks
 
 
+Tracks = Mapping[tuple[str, int], str]
+"""Name of the track of a detection, by `<split>/<name>` of its picture and its number there."""
+
+
+def _tracks(sequences: Mapping[str, Sequence[ImageRecord]], predictions: Predictions) -> Tracks:
+    """Return the tracks through each sequence; pictures that could not be searched are gaps."""
+    found: dict[tuple[str, int], str] = {}
+    for name, images in sequences.items():
+        seen = [i for i in images if image_key(i) in predictions.images]
+        ids = track_ids(seen, [predictions.images[image_key(i)] for i in seen], tracker_settings("bytetrack"))
+        for image, of in zip(seen, ids, strict=True):
+            found |= {(image_key(image), k): f"{name}/{number}" for k, number in of.items()}
+    return found
+
+
 def _table(
     images: Sequence[ImageRecord],
     shown: Mapping[str, Detections],
     classes: Sequence[str],
     places: FlightPlaces,
     objects: FlightObjectFacts | None,
+    tracks: Tracks,
 ) -> str:
     """Return the table of detections, picture by picture, those of a picture by descending score."""
     placed = {(p.picture, p.number): p for p in places.placed}
@@ -279,7 +302,7 @@ def _table(
                     *box,
                     classes[of],
                     float(found.scores[k]),
-                    "",
+                    tracks.get((key, k), ""),
                     *place,
                     object_of.get(f"{key} {k}", ""),
                 )

@@ -20,6 +20,7 @@ class DetectRequest:
         classes: Names of the detector's classes in its order, for a file that has none.
         image_size: Longer side of the pictures for the network, 0 for their own size [default: as in the training].
         overlap: Least overlap of an ONNX file's tiles: twice the size of the largest object.
+        tracks: Follow objects through each sequence (extras train and tracks); all frames of videos are then read.
         threads: Threads of an ONNX file's network, 0 for one per core.
 
     Raises:
@@ -31,6 +32,7 @@ class DetectRequest:
     classes: Sequence[str] | None = None
     image_size: int | None = None
     overlap: int = OVERLAP_PX
+    tracks: bool = False
     threads: int = 0
 
     def __post_init__(self) -> None:

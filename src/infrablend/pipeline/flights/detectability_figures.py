@@ -174,9 +174,9 @@ def run_trials(
     """
     sizes = sizes_of(trials, settings)
     wanted = _FIRST
+    share: Share | None = None
     for _ in trials.rounds(seed, settings.most_rounds):
         inserted = len(trials.inserted)
-        share = None
         if inserted >= wanted:
             share = Comparison.of(trials.inserted, (), sizes).predicted(settings.confidence, by_overlap)
             wanted = inserted + _MORE

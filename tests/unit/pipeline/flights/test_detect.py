@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.command_line import said
-from tests.onnx_files import write_cells
 
 from infrablend.config.agc import LinearAgc
 from infrablend.core.dataset import Dataset
@@ -22,6 +20,8 @@ from infrablend.formats.dataset_folder import read
 from infrablend.formats.pictures.images import png_bytes
 from infrablend.pipeline.flights.detect import DetectReport, detect_objects
 from infrablend.pipeline.flights.detect_request import DetectRequest
+from tests.command_line import said
+from tests.onnx_files import write_cells
 
 CELLS = {"a": [(8, 16)], "b": [(40, 40), (56, 0)], "c": []}
 """Left and top edge of the bright cells of each picture of 96x80 px."""
@@ -169,6 +169,32 @@ def test_the_command_prints_counts_and_refuses_what_it_may_not_replace(
     assert "nothing found" in said("detect", detector, flight, "--out", tmp_path / "n", "--confidence", "0.9", code=1)
     with pytest.raises(OutputError, match="contains the data"):
         detect(detector, flight, flight)
+
+
+def test_tracks_go_through_a_sequence(ultralytics: None, tmp_path: Path) -> None:
+    flight = tmp_path / "flight"
+    flight.mkdir()
+    for k in range(5):
+        pixels = np.full((64, 64), 20, np.uint8)
+        pixels[16:24, 8 * k : 8 * k + 8] = 255  # walks
+        pixels[48:56, 40:48] = 230  # stands, and is hidden once
+        pixels[48:56, 40:48] = 20 if k == 2 else 230
+        (flight / f"clip_{k:03}.png").write_bytes(png_bytes(pixels))
+    detector = write_cells(tmp_path / "d.onnx", size_px=24)
+    report = detect(detector, flight, tmp_path / "out", tracks=True)
+    assert report.ok
+    rows = list(csv.DictReader((tmp_path / "out" / "detections.csv").read_text("utf-8").splitlines()))
+    walking = [r["track"] for r in rows if float(r["top"]) < 30]
+    standing = [r["track"] for r in rows if float(r["top"]) > 30]
+    assert len(walking) == 5
+    assert len(standing) == 4
+    assert len({*walking}) == len({*standing}) == 1
+    assert {*walking} != {*standing}
+    (flight / "other.png").write_bytes((flight / "clip_000.png").read_bytes())
+    for k in range(5):
+        (flight / f"clip_{k:03}.png").unlink()
+    with pytest.raises(DatasetError, match="no picture has a sequence"):
+        detect(detector, flight, tmp_path / "none", tracks=True)
 
 
 @pytest.mark.parametrize("wrong", [{"confidence": 0}, {"confidence": 1.5}, {"overlap": -1}, {"classes": "a"}])

@@ -7,15 +7,15 @@ import shutil
 from pathlib import Path
 
 import pytest
-from tests.command_line import said
-from tests.onnx_files import write_cells
-from tests.unit.pipeline.flights.test_detect import flight as flight  # a fixture
 
 from infrablend import api
 from infrablend.errors import DatasetError, OutputError
 from infrablend.pipeline.flights.reviewed_detections import accepted_objects, open_detections
 from infrablend.pipeline.runs.review_file import Verdict, read_verdicts
 from infrablend.studio.opened_detections import OpenedDetections
+from tests.command_line import said
+from tests.onnx_files import write_cells
+from tests.unit.pipeline.flights.test_detect import flight as flight  # a fixture
 
 
 @pytest.fixture

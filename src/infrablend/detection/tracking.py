@@ -21,13 +21,13 @@ from infrablend.formats.pictures.images import load_background
 Tracker = Literal["bytetrack", "botsort"]
 
 
-def require_trackers() -> None:
-    """Raise MissingDependencyError with the command to run if Ultralytics, lap or trackeval is missing."""
+def require_trackers(*further: str) -> None:
+    """Raise MissingDependencyError with the command to run if Ultralytics, lap or a further package is missing."""
     require_ultralytics()
-    missing = [name for name in ("lap", "trackeval") if find_spec(name) is None]
+    missing = [name for name in ("lap", *further) if find_spec(name) is None]
     if missing:
         raise MissingDependencyError(
-            f"{' and '.join(missing)} not installed, which evaluation of tracks needs; install with\n"
+            f"{' and '.join(missing)} not installed, which tracks need; install with\n"
             '  pip install "infrablend[train,tracks]"\n'
             "which needs NumPy 2.3.2 or later (in a checkout: make train)"
         )
@@ -54,6 +54,23 @@ def follow(
         found: Detections on each picture.
         settings: Settings from `tracker_settings`.
     """
+    return [(tracked, ids) for tracked, ids, _ in _followed(images, found, settings)]
+
+
+def track_ids(
+    images: Sequence[ImageRecord], found: Sequence[Detections], settings: Mapping[str, object]
+) -> list[dict[int, int]]:
+    """Return the id of the track of each detection on each picture, by its number; see `follow`."""
+    return [dict(zip(of.tolist(), ids.tolist(), strict=True)) for _, ids, of in _followed(images, found, settings)]
+
+
+_Followed = tuple[Detections, NDArray[np.int64], NDArray[np.int64]]
+"""Detections on a picture at the places of the tracker, ids of their tracks, and their numbers among all."""
+
+
+def _followed(
+    images: Sequence[ImageRecord], found: Sequence[Detections], settings: Mapping[str, object]
+) -> list[_Followed]:
     with quiet_ultralytics():
         from ultralytics.trackers.track import TRACKER_MAP
         from ultralytics.utils import IterableSimpleNamespace
@@ -63,7 +80,7 @@ def follow(
         return [_update(tracker, of, _grey(image) if looks else None) for image, of in zip(images, found, strict=True)]
 
 
-def _update(tracker: Any, found: Detections, picture: NDArray[np.uint8] | None) -> tuple[Detections, NDArray[np.int64]]:
+def _update(tracker: Any, found: Detections, picture: NDArray[np.uint8] | None) -> _Followed:
     from ultralytics.engine.results import OBB, Boxes
 
     turned = found.corners_xy is not None
@@ -73,13 +90,14 @@ def _update(tracker: Any, found: Detections, picture: NDArray[np.uint8] | None) 
     rows = np.column_stack([places[np.sort(first)], named.scores, named.classes])
     # The size of the picture, here 1, is for relative coordinates, which trackers do not use.
     said = tracker.update((OBB if turned else Boxes)(rows, (1, 1)), picture).reshape(-1, 9 if turned else 8)
-    tracked = named.take(said[:, -1].astype(np.int64))
+    numbers = np.sort(first)[said[:, -1].astype(np.int64)]
+    tracked = found.take(numbers)
     ids = said[:, -4].astype(np.int64)
     if not turned:
-        return replace(tracked, boxes_xyxy=said[:, :4].astype(np.float64)), ids
+        return replace(tracked, boxes_xyxy=said[:, :4].astype(np.float64)), ids, numbers
     corners = corners_of_cxcywha(said[:, :5].astype(np.float64))
     boxes = np.array([box_of_points(c) for c in corners], np.float64).reshape(-1, 4)
-    return replace(tracked, boxes_xyxy=boxes, corners_xy=corners), ids
+    return replace(tracked, boxes_xyxy=boxes, corners_xy=corners), ids, numbers
 
 
 def _grey(image: ImageRecord) -> NDArray[np.uint8]:
