@@ -26,6 +26,7 @@ from infrablend.cli.output import LineProgress, facts, human_bytes, progress_lin
 from infrablend.core.tasks import Progress
 from infrablend.errors import Problem
 from infrablend.formats.read_write import Reading
+from infrablend.lab.world.world_frames import Survey
 from infrablend.pipeline.plans.add_model import ModelAnswers
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.selection import FrameSelection
@@ -379,9 +380,14 @@ def test_world(api, capsys):
     args, kwargs = api.calls["make_world"]
     assert args == (Path("w"), 4, 7)
     assert callable(kwargs.pop("on_progress"))
-    assert kwargs == {"layout": "hit-uav", "workers": None, "overwrite": False}
+    assert kwargs == {"layout": "hit-uav", "survey": None, "workers": None, "overwrite": False}
     assert main(["world", "--out", "w", "--layout", "monet"]) == 0
     assert api.calls["make_world"][1]["layout"] == "monet"
+    survey = ["--layout", "flight", "--overlap", "0.7", "--yaw-error", "10", "--walking"]
+    assert main(["world", "--out", "w", *survey]) == 0
+    assert api.calls["make_world"][1]["survey"] == Survey(0.7, 10.0, walking=True)
+    assert main(["world", "--out", "w", "--walking"]) == 2
+    assert "--overlap 0.7" in capsys.readouterr().err
 
 
 def test_asset_wants_a_blend_file(api, capsys):
