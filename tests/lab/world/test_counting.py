@@ -14,7 +14,7 @@ from infrablend.lab.world.frame_files import Label
 from infrablend.lab.world.scene_plan import WorldPlan
 from infrablend.lab.world.world_frames import Survey, plan_frames
 from infrablend.lab.world.world_survey import begin_survey, survey_frame
-from infrablend.pipeline.flights.same_object import FlightCount, Sighting, count_objects
+from infrablend.pipeline.flights.same_object import FlightCount, PlacedSighting, count_objects
 
 SEEDS = range(4)
 SIZE = (640, 512)
@@ -57,7 +57,7 @@ def counted(seed: int, walking: bool, folder: Path) -> tuple[int, FlightCount]:
             own = PLACE_M**2 + BOX_M**2 + (CUT_M**2 if one.truncated else 0)
             size = float((one.box_xyxy[2:] - one.box_xyxy[:2]).max()) * pixel
             xy = np.array([place.real, place.imag])
-            sightings.append(Sighting(frame.name, true["time_s"], xy, own * np.eye(2), size, one.category))
+            sightings.append(PlacedSighting(frame.name, true["time_s"], xy, own * np.eye(2), size, one.category))
             tracks.add(one.track_id)
     return len(tracks), count_objects(sightings, area)
 

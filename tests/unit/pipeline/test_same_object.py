@@ -10,20 +10,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from infrablend.pipeline.flights.same_object import FlightCount, Sighting, assign, count_objects
+from infrablend.pipeline.flights.same_object import FlightCount, PlacedSighting, assign, count_objects
 
 AREA = 20_000.0
 
 
-def seen(picture: int, x: float, y: float, *, sigma: float = 0.3, size: float = 1.0, of: str = "deer") -> Sighting:
-    return Sighting(f"{picture:03d}", 2.0 * picture, np.array([x, y]), sigma**2 * np.eye(2), size, of)
+def seen(
+    picture: int, x: float, y: float, *, sigma: float = 0.3, size: float = 1.0, of: str = "deer"
+) -> PlacedSighting:
+    return PlacedSighting(f"{picture:03d}", 2.0 * picture, np.array([x, y]), sigma**2 * np.eye(2), size, of)
 
 
 def members(found: FlightCount) -> list[tuple[int, ...]]:
     return [o.sightings for o in found.objects]
 
 
-def herd(at: Sequence[tuple[float, float]], pictures: int, sigma: float, seed: int = 0) -> list[Sighting]:
+def herd(at: Sequence[tuple[float, float]], pictures: int, sigma: float, seed: int = 0) -> list[PlacedSighting]:
     rng = np.random.default_rng(seed)
     return [
         seen(p, *(np.array(xy) + sigma * rng.standard_normal(2)), sigma=sigma) for p in range(pictures) for xy in at

@@ -15,7 +15,7 @@ from infrablend.detection.truth import image_key
 from infrablend.formats.values import to_time
 from infrablend.pipeline.flights.flight_poses import FlightPoses
 from infrablend.pipeline.flights.placed_detections import PlacedDetection
-from infrablend.pipeline.flights.same_object import FlightObject, Sighting, count_objects
+from infrablend.pipeline.flights.same_object import FlightObject, PlacedSighting, count_objects
 
 # Errors of a box, as a share of its longer side: of its middle, and if the edge of the picture cuts it.
 _BOX = 0.1
@@ -100,13 +100,15 @@ def count_flight(
     }
 
 
-def _sighting(p: PlacedDetection, predictions: Predictions, frame: LocalFrame, times: Mapping[str, float]) -> Sighting:
+def _sighting(
+    p: PlacedDetection, predictions: Predictions, frame: LocalFrame, times: Mapping[str, float]
+) -> PlacedSighting:
     """Return a detection with the errors of its pose and its box."""
     box = predictions.images[p.picture].boxes_xyxy[p.number]
     cut = bool((box[:2] < 1).any() or (box[2:] > np.array(predictions.sizes_wh[p.picture]) - 1).any())
     of_box = (p.size_m * (_CUT if cut else _BOX)) ** 2 * np.eye(2)
     place = frame.to_metres(p.latitude_deg, p.longitude_deg)
-    return Sighting(p.picture, times.get(p.picture), place, p.ellipse.covariance() + of_box, p.size_m, p.category)
+    return PlacedSighting(p.picture, times.get(p.picture), place, p.ellipse.covariance() + of_box, p.size_m, p.category)
 
 
 def _facts(number: int, one: FlightObject, placed: Sequence[PlacedDetection], frame: LocalFrame) -> ObjectFacts:

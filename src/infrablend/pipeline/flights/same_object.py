@@ -44,7 +44,7 @@ _FAR = 1e6
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
+class PlacedSighting:
     """One detection on the ground.
 
     Attributes:
@@ -130,7 +130,7 @@ class _Track:
     unfound: float = 1.0
 
 
-def count_objects(sightings: Sequence[Sighting], area_m2: float, speed_m_s: float = WALK_M_S) -> FlightCount:
+def count_objects(sightings: Sequence[PlacedSighting], area_m2: float, speed_m_s: float = WALK_M_S) -> FlightCount:
     """Join the sightings of a flight.
 
     Args:
@@ -156,7 +156,7 @@ def count_objects(sightings: Sequence[Sighting], area_m2: float, speed_m_s: floa
 class _Joining:
     """The tracks so far, and how many objects are expected behind them."""
 
-    def __init__(self, sightings: Sequence[Sighting], area_m2: float, speed_m_s: float) -> None:
+    def __init__(self, sightings: Sequence[PlacedSighting], area_m2: float, speed_m_s: float) -> None:
         self._all = sightings
         self._speed = speed_m_s
         self._density = max(len(sightings), 1) / area_m2
@@ -279,7 +279,7 @@ class _Joining:
         return _Track([k], np.array([*one.place_m, 0.0, 0.0]), spread, (inverse, inverse @ one.place_m))
 
 
-def _usual(members: Sequence[Sighting]) -> str:
+def _usual(members: Sequence[PlacedSighting]) -> str:
     """Return the class of most sightings, the first of those that are as many."""
     return Counter(s.category for s in members).most_common(1)[0][0]
 
@@ -327,7 +327,7 @@ def assign(cost: FloatArray) -> list[int]:
     return [found[r] - 1 for r in range(1, n + 1)]
 
 
-def _object(track: _Track, sightings: Sequence[Sighting], speed_m_s: float) -> FlightObject:
+def _object(track: _Track, sightings: Sequence[PlacedSighting], speed_m_s: float) -> FlightObject:
     """Return the object of a track, told still from moving by the fit of a place and of a place and a velocity."""
     members = [sightings[k] for k in track.members]
     place, covariance, still = _fit(members, 2)
@@ -345,7 +345,7 @@ def _object(track: _Track, sightings: Sequence[Sighting], speed_m_s: float) -> F
     return FlightObject(tuple(track.members), _usual(members), place, covariance, moves, speed, track.unsure > 0)
 
 
-def _fit(members: Sequence[Sighting], unknowns: int) -> tuple[FloatArray, FloatArray, float]:
+def _fit(members: Sequence[PlacedSighting], unknowns: int) -> tuple[FloatArray, FloatArray, float]:
     """Return place (and velocity) when last seen, their covariance, and the sum of squares of what is left."""
     last = members[-1].time_s or 0.0
     information, weighted = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
