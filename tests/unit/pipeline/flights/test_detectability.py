@@ -135,7 +135,7 @@ def test_a_detector_of_inserted_objects_gives_an_upper_bound(
 
 def test_where_nothing_can_stand_nothing_is_written(measure: Callable[..., Any], tmp_path: Path) -> None:
     with pytest.raises(DatasetError) as error:
-        measure(SimpleNamespace(classes=("drone",), problems=(), facts={}, find=_sees_all))
+        measure(SimpleNamespace(classes=("drone",), problems=(), facts={}, find=_sees_all), most_rounds=1)
     assert error.value.problems[0].code == "nothing-inserted"
     assert not (tmp_path / "out").exists()
 
@@ -148,8 +148,8 @@ def _sees_all(pixels: np.ndarray, *_: Any) -> Detections:
         for w in sides
         for h in sides
         if w < 2 * h < 4 * w
-        for y in range(0, 512, h // 4)
-        for x in range(0, 640, w // 4)
+        for y in range(0, 512, h // 3)
+        for x in range(0, 640, w // 3)
     ]
     return detections(boxes, [0.9] * len(boxes), [0] * len(boxes))
 
