@@ -138,8 +138,8 @@ def detectability(
 def _plan_rows(plan: DetectabilityPlan, settings: api.DetectabilitySettings) -> dict[str, str]:
     return {
         "objects a frame": f"{plan.objects_per_frame:.1f}",
-        f"objects for +-{settings.until:g}": f"at most about {plan.objects}",
-        "frames": f"{plan.frames}, of {plan.pictures} pictures",
+        f"objects for +-{settings.until:g}": f"about {plan.objects}, more where pictures differ",
+        "frames": f"{plan.frames}, of {plan.pictures} pictures, {settings.most_rounds} times at most",
         "time, about": human_seconds(plan.seconds),
     }
 

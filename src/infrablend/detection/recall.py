@@ -57,23 +57,34 @@ class Share:
 NONE = Share(None, None, None, 0)
 
 
-def weighted_share(found: NDArray[np.bool_], clusters: Sequence[str], weights: FloatArray | None = None) -> Share:
+def weighted_share(
+    found: NDArray[np.bool_],
+    clusters: Sequence[str],
+    weights: FloatArray | None = None,
+    tracks: Sequence[str] | None = None,
+) -> Share:
     """Return the share of (n,) objects that are found.
 
     Args:
         found: (n,) whether each object is found.
         clusters: n names of the groups of pictures that the objects are in.
         weights: (n,) weights of the objects; all equal by default.
+        tracks: n names of objects that several pictures show; looks at the same one depend on each other, too.
     """
     weight = np.ones(len(found)) if weights is None else weights
     total = float(weight.sum())
     if not total > 0:
         return NONE
     value = float((weight * found).sum() / total)
-    _, numbers = np.unique(np.asarray(clusters), return_inverse=True)
-    groups = int(np.count_nonzero(np.bincount(numbers, weight)))
-    residuals = np.bincount(numbers, weight * (found - value))
-    variance = groups / max(groups - 1, 1) * float((residuals**2).sum()) / total**2
+    residuals = weight * (found - value)
+    groups, variance = _of_clusters(residuals, clusters, weight)
+    if tracks is not None:
+        # Both dependences (Cameron, Gelbach and Miller, Journal of Business & Economic Statistics 29, 2011), of which
+        # neither makes an interval narrower.
+        fewer, of_tracks = _of_clusters(residuals, tracks, weight)
+        groups = min(groups, fewer)
+        variance = max(variance, of_tracks, variance + of_tracks - float((residuals**2).sum()))
+    variance /= total**2
     independent = total**2 / float((weight**2).sum())
     # A share of 0 or 1, or a single cluster, has no variance to tell from: then each cluster counts as one object.
     effective = min(groups, independent)
@@ -81,6 +92,13 @@ def weighted_share(found: NDArray[np.bool_], clusters: Sequence[str], weights: F
         effective = min(value * (1 - value) / variance, independent)
     low, high = wilson(value, effective)
     return Share(value, low, high, int((weight > 0).sum()), effective)
+
+
+def _of_clusters(residuals: FloatArray, clusters: Sequence[str], weight: FloatArray) -> tuple[int, float]:
+    """Return the number of clusters with weight, and the variance of the sum of the residuals over them."""
+    _, numbers = np.unique(np.asarray(clusters), return_inverse=True)
+    groups = int(np.count_nonzero(np.bincount(numbers, weight)))
+    return groups, groups / max(groups - 1, 1) * float((np.bincount(numbers, residuals) ** 2).sum())
 
 
 def wilson(share: float, count: float) -> tuple[float, float]:

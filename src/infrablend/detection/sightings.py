@@ -5,6 +5,7 @@ A sighting holds the score of the detection of its object, so that it is found a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from infrablend.detection.detections import Detections, FloatArray
 from infrablend.detection.matching import box_overlaps
+from infrablend.detection.recall import Share, weighted_share
 
 NEAR_PX = 8.0
 """Least reach of an object, px: a detection whose middle is that near shows a searcher the place."""
@@ -84,3 +86,9 @@ def _choose(value: FloatArray, scores: FloatArray) -> tuple[FloatArray, NDArray[
             of_object[best] = scores[d]
             chosen[d] = True
     return of_object, chosen
+
+
+def share_found(sightings: Sequence[Sighting], found: NDArray[np.bool_], weights: FloatArray | None = None) -> Share:
+    """Return the share of sightings that are found; those of a cluster, and those of a track, depend on each other."""
+    tracks = [s.track or f"{k}" for k, s in enumerate(sightings)] if any(s.track for s in sightings) else None
+    return weighted_share(found, [s.cluster for s in sightings], weights, tracks)

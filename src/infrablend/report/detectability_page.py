@@ -14,6 +14,7 @@ PAGE: Final = "detectability.html"
 
 _NOT_COUNTED: Mapping[str, str] = {
     "on_a_detection": "on something that the detector already finds there, which may be real",
+    "of_no_real_size": "of a size that no real object has",
     "without_label": "without a label: hidden, outside, or covered by another one",
     "without_place": "for which there was no place in the picture, or none where they could be seen",
 }

@@ -79,3 +79,18 @@ def test_the_difference_has_the_errors_of_both() -> None:
     value, low, high = found
     assert value == pytest.approx(0.05)
     assert high - low == pytest.approx(np.hypot(2 * one.half_width, 2 * other.half_width), rel=0.05)
+
+
+def test_looks_at_the_same_objects_and_pictures_widen_the_interval() -> None:
+    rng = np.random.default_rng(3)
+    held = 0
+    for _ in range(300):
+        of_object = rng.beta(2.0, 1.0, 60)
+        of_picture = rng.normal(0, 0.15, 20)
+        looks = [(k, p) for k in range(60) for p in rng.choice(20, 4, replace=False)]
+        found = np.array([rng.random() < np.clip(of_object[k] + of_picture[p], 0, 1) for k, p in looks])
+        share = weighted_share(found, [str(p) for _, p in looks], None, [f"t{k}" for k, _ in looks])
+        assert share.low is not None
+        assert share.high is not None
+        held += share.low <= 0.66 <= share.high
+    assert held / 300 >= 0.9

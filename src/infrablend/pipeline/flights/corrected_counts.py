@@ -15,8 +15,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from infrablend.detection.detectability_record import CountFacts
-from infrablend.detection.recall import NONE, Z95, Share, weighted_share
-from infrablend.detection.sightings import Sighting
+from infrablend.detection.recall import NONE, Z95, Share
+from infrablend.detection.sightings import Sighting, share_found
 from infrablend.pipeline.flights.insert_trials import SearchedPicture, Trials, look_conditions
 
 _LEAST_EFFECTIVE = 10.0
@@ -37,10 +37,14 @@ class LookShares:
         self._whole = _share(inserted, confidence)
         self._shares = {key: _share(its, confidence) for key, its in by_key.items()}
 
-    def __getitem__(self, key: LookKey) -> Share:
-        """Return the share of a look; that of all looks where too few objects were inserted under its conditions."""
-        found = self._shares.get(key, NONE)
-        return found if found.effective >= _LEAST_EFFECTIVE else self._whole
+    def known(self, key: LookKey) -> LookKey | None:
+        """Return the key, or None where too few objects were inserted under its conditions to tell a share."""
+        return key if self._shares.get(key, NONE).effective >= _LEAST_EFFECTIVE else None
+
+    def __getitem__(self, key: LookKey | None) -> Share:
+        """Return the share of a look; that of all looks where its own is not known."""
+        known = None if key is None else self.known(key)
+        return self._whole if known is None else self._shares[known]
 
     def all(self) -> list[Share]:
         """Return the shares of all looks and of those under each condition with enough inserted objects."""
@@ -54,7 +58,7 @@ def look_key(conditions: Mapping[str, str]) -> LookKey:
 
 def _share(inserted: Sequence[Sighting], confidence: float) -> Share:
     found = np.array([s.score >= confidence for s in inserted], np.bool_)
-    return weighted_share(found, [s.cluster for s in inserted])
+    return share_found(inserted, found)
 
 
 def count_looks(trials: Trials, confidence: float, *, labelled: bool) -> CountFacts:
@@ -66,9 +70,10 @@ def count_looks(trials: Trials, confidence: float, *, labelled: bool) -> CountFa
         labelled: Whether labels say which detections are of real objects; otherwise all are counted.
     """
     shares = LookShares(trials.inserted, confidence)
-    counts: Counter[LookKey] = Counter()
+    # Conditions that take the share of all looks have its error in common.
+    counts: Counter[LookKey | None] = Counter()
     for picture in trials.searched.values():
-        counts.update(_keys(picture, confidence, labelled=labelled))
+        counts.update(shares.known(key) for key in _keys(picture, confidence, labelled=labelled))
     detections = sum(counts.values())
     facts: CountFacts = {
         "of": "labelled" if labelled else "all",
@@ -79,7 +84,7 @@ def count_looks(trials: Trials, confidence: float, *, labelled: bool) -> CountFa
     }
     estimate = 0.0
     variance = 0.0
-    for key, count in sorted(counts.items()):
+    for key, count in sorted(counts.items(), key=str):
         share = shares[key]
         if not share.value:
             return facts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -12,6 +13,8 @@ import numpy as np
 
 from infrablend import __version__
 from infrablend.config.loading import read_recipe
+from infrablend.config.recipe import AUTO
+from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_json, write_text
 from infrablend.core.ground_position import pose_of
 from infrablend.core.tasks import OnProgress, paced
@@ -25,7 +28,8 @@ from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.formats import dataset_folder
 from infrablend.formats.image_groups import group_images
 from infrablend.formats.maps.map_files import write_geojson
-from infrablend.formats.maps.search_sectors import read_sectors
+from infrablend.formats.maps.search_sectors import Sector, read_sectors
+from infrablend.formats.pictures.listing import with_sizes
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.compose.memory_frames import Frames, FramesRequest
 from infrablend.pipeline.flights.corrected_counts import LookShares
@@ -129,13 +133,16 @@ def measure_detectability(
             origin = training_origin(request.detector)
             problems = [*frames.problems, *finder.problems]
             problems += [] if origin is None else _circles(origin, request, trials)
+            sectors = _sectors(request.settings, trials, problems)
             run_trials(trials, request.settings, _SEED + request.seed, paced(on_progress))
             if not trials.inserted:
                 raise _nothing_inserted(request, trials)
             problems += trials.unread
             found = _search_map(request.settings, trials, problems)
-            areas = [] if found is None else _areas(request.settings, found, trials, problems)
-            facts = _facts(request, finder, origin, trials, problems)
+            areas = [] if found is None else [area_figures(found), *(area_figures(found, s) for s in sectors)]
+            measured = measured_facts(trials, request.settings)
+            problems += _not_reached(request.settings, measured)
+            facts = _facts(request, finder, origin, frames.recipe.name, measured, problems)
         if found is not None:
             facts["map"] = _map_facts(found, areas)
             write_geojson(space.folder / MAP, map_features(found))
@@ -151,7 +158,7 @@ class DetectabilityPlan:
 
     Attributes:
         objects_per_frame: Inserted objects of the class in a frame.
-        objects: Objects that make the interval as narrow as asked for, if half of them are found.
+        objects: Objects that make the interval as narrow as asked for if half of them are found, independently.
         frames: Frames with so many objects.
         pictures: Pictures that can be used; more frames use them again, with other objects.
         seconds: About how long that takes.
@@ -172,13 +179,14 @@ def plan_detectability(request: DetectabilityRequest) -> DetectabilityPlan:
     with Frames(_frames_request(request)) as frames:
         trials = Trials(frames, finder, _rules(request, frames, finder))
         tried = 0
-        started = time.monotonic()
+        began = started = time.monotonic()
         for tried in trials.rounds(_SEED + request.seed, 1):
             if tried == 1:  # workers start with the first frame
                 started = time.monotonic()
             if tried > _PLANNED_FRAMES:
                 break
-        seconds = (time.monotonic() - started) / max(tried - 1, 1)
+        now = time.monotonic()
+        seconds = (now - started) / (tried - 1) if tried > 1 else now - began
         per_frame = len(trials.inserted) / max(tried, 1)
         if not per_frame:
             raise _nothing_inserted(request, trials)
@@ -209,11 +217,14 @@ def _frames_request(request: DetectabilityRequest) -> FramesRequest:
         request.reading,
         request.execution,
     )
-    if request.settings.looks == "single":
-        return plain
     recipe = read_recipe(request.recipe, request.recipe_settings).recipe
     dataset = dataset_folder.read(request.data, reading_for(recipe, request.reading, request.data))
+    # Pictures whose header cannot be read keep no size, and are named where they are decoded.
+    sized = {image_key(i): i for i in with_sizes(dataset.images, image_key, [])}
+    dataset = replace(dataset, images=tuple(sized.get(image_key(i), i) for i in dataset.images))
     plain = replace(plain, dataset=dataset)
+    if request.settings.looks == "single":
+        return plain
     flight = None if recipe.in_sequences or recipe.placement.mode != "metric" else as_flights(dataset)
     if flight is None:
         if request.settings.looks == "flight":
@@ -225,13 +236,15 @@ def _frames_request(request: DetectabilityRequest) -> FramesRequest:
                 f"{request.data}: no flight", [Problem("looks", "no-flight", found, expected, "take --looks single")]
             )
         return plain
-    fields = [f"objects.{k}.motion" for k in range(len(recipe.objects))]
+    added: dict[str, object] = {f"objects.{k}.motion": {"kind": "still"} for k in range(len(recipe.objects))}
+    if recipe.configurations == AUTO:  # which counts objects of single pictures
+        added["configurations"] = 1
     given = request.recipe_settings
     settings: Settings
     if isinstance(given, Mapping):
-        settings = {**given, **{field: {"kind": "still"} for field in fields}}
+        settings = {**given, **added}
     else:
-        settings = [*given, *(f"{field}={{kind: still}}" for field in fields)]
+        settings = [*given, *(f"{field}={json.dumps(value)}" for field, value in added.items())]
     return replace(plain, dataset=flight, settings=settings, follow=motion_by_pose)
 
 
@@ -278,12 +291,24 @@ def _circles(origin: TrainingOrigin, request: DetectabilityRequest, trials: Tria
 
 
 def _nothing_inserted(request: DetectabilityRequest, trials: Trials) -> DatasetError:
+    skipped = [p for p in trials.frames.problems if p.severity == "error"]
+    if not trials.searched:
+        return DatasetError(f"{request.data}: no picture can be used", [*skipped, *trials.unread])
     reasons = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in sorted(trials.counts.items()) if n)
     found = f"no object was inserted into any of {len(trials.searched)} pictures ({reasons or 'none asked for'})"
     todo = "look at `infrablend try` of the recipe with one of the pictures"
     problem = Problem(str(request.recipe), "nothing-inserted", found, "objects that can stand in these pictures", todo)
-    skipped = [p for p in trials.frames.problems if p.severity == "error"]
     return DatasetError(f"{request.data}: nothing to search for", [problem, *skipped, *trials.unread])
+
+
+def _not_reached(settings: DetectabilitySettings, facts: MeasuredFacts) -> list[Problem]:
+    low, high = facts["recall"]["low"], facts["recall"]["high"]
+    if low is not None and high is not None and (high - low) / 2 <= settings.until:
+        return []
+    width = "unknown" if low is None or high is None else f"+-{(high - low) / 2:.3f}"
+    found = f"the share found is known to {width}, after {settings.most_rounds} rounds through the pictures"
+    todo = "give more pictures, or more rounds (--most-rounds); the spread between pictures sets a limit"
+    return [Problem("until", "until-not-reached", found, f"+-{settings.until:g}", todo, "warning")]
 
 
 def _search_map(settings: DetectabilitySettings, trials: Trials, problems: list[Problem]) -> SearchMap | None:
@@ -293,33 +318,34 @@ def _search_map(settings: DetectabilitySettings, trials: Trials, problems: list[
     dependence = find_dependence(trials.inserted, settings.confidence)
     found = map_detection(images, shares, dependence, settings.cell_m)
     if found is None:
-        lacking = sorted({pose for image in images if isinstance(pose := pose_of(image), str)})
-        todo = "give a table of them with --metadata, or take the figures without a map"
-        where = f"{len(images)} pictures"
-        expected = "pictures with a pose, for a map"
-        missing = f"without {'; '.join(lacking) or 'ground in view'}"
-        problems.append(Problem(where, "map-left-out", missing, expected, todo, "warning"))
-        if settings.sectors is not None:
-            raise DatasetError(f"{settings.sectors}: no map to take sectors from", problems[-1:])
+        problems.append(_no_map(images))
     return found
 
 
-def _areas(
-    settings: DetectabilitySettings, found: SearchMap, trials: Trials, problems: list[Problem]
-) -> list[AreaFigures]:
-    """Return the figures of the flight and of each sector.
+def _sectors(settings: DetectabilitySettings, trials: Trials, problems: list[Problem]) -> list[Sector]:
+    """Return the sectors of the search, which are read before anything is searched.
 
     Raises:
-        DatasetError: The sectors cannot be used.
+        DatasetError: They cannot be used, or no picture has a pose.
     """
-    areas = [area_figures(found)]
-    if settings.sectors is not None:
-        captures = [picture.image.capture for picture in trials.searched.values()]
-        places = np.array([place for c in captures if (place := c.place) is not None], np.float64)
-        sectors, elsewhere = read_sectors(settings.sectors, places)
-        problems += elsewhere
-        areas += [area_figures(found, sector) for sector in sectors]
-    return areas
+    if settings.sectors is None:
+        return []
+    poses = [pose for image in trials.images() if not isinstance(pose := pose_of(image), str)]
+    if not poses:
+        raise DatasetError(f"{settings.sectors}: no map to take sectors from", [_no_map(trials.images())])
+    sectors, elsewhere = read_sectors(settings.sectors, np.array([(p.latitude_deg, p.longitude_deg) for p in poses]))
+    problems += elsewhere
+    return sectors
+
+
+def _no_map(images: Sequence[ImageRecord]) -> Problem:
+    """Return the warning that there is no map, with what the pictures lack."""
+    lacking = sorted({pose for image in images if isinstance(pose := pose_of(image), str)})
+    missing = f"without {'; '.join(lacking)}" if lacking else "too little ground in view for a cell"
+    todo = "give a table of them with --metadata, or take the figures without a map"
+    return Problem(
+        f"{len(images)} pictures", "map-left-out", missing, "pictures with a pose, for a map", todo, "warning"
+    )
 
 
 def _map_facts(found: SearchMap, areas: Sequence[AreaFigures]) -> MapFacts:
@@ -347,10 +373,10 @@ def _facts(
     request: DetectabilityRequest,
     finder: Finder,
     origin: TrainingOrigin | None,
-    trials: Trials,
+    recipe: str,
+    measured: MeasuredFacts,
     problems: list[Problem],
 ) -> DetectabilityFacts:
-    measured = measured_facts(trials, request.settings)
     trained_on = "unknown"
     if origin is not None:
         trained_on = f"{origin.labels - origin.inserted} real and {origin.inserted} inserted objects"
@@ -361,7 +387,7 @@ def _facts(
         "kind": "upper bound" if is_bound else "measured",
         "sentence": sentence(measured, is_bound=is_bound),
         "map": None,
-        "recipe": str(trials.frames.recipe.name),
+        "recipe": recipe,
         "detector": dict(finder.facts),
         "trained_on": trained_on,
         "data": request.data.name,

@@ -19,7 +19,7 @@ from infrablend.detection.detectability_record import AlarmFacts, CellFacts, Mea
 from infrablend.detection.detections import FloatArray
 from infrablend.detection.matching import SIZE_BINS
 from infrablend.detection.recall import Share, difference, weighted_share, weights_of_sizes
-from infrablend.detection.sightings import Sighting
+from infrablend.detection.sightings import Sighting, share_found
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.flights.corrected_counts import count_looks
 from infrablend.pipeline.flights.insert_trials import Trials, stratum
@@ -113,7 +113,7 @@ class Comparison:
     def predicted(self, confidence: float, score: Callable[[Sighting], float]) -> Share:
         """Return the share of inserted objects that are found."""
         found = np.array([score(s) >= confidence for s in self.inserted], np.bool_)
-        return weighted_share(found, [s.cluster for s in self.inserted], self.weights)
+        return share_found(self.inserted, found, self.weights)
 
     def recall(self, confidence: float, score: Callable[[Sighting], float]) -> RecallFacts:
         """Return the shares of inserted and of real objects that are found."""
@@ -121,7 +121,7 @@ class Comparison:
         facts: RecallFacts = {"predicted": said.value, "low": said.low, "high": said.high, "inserted": said.count}
         if self.real:
             found = np.array([score(s) >= confidence for s in self.real], np.bool_)
-            actual = weighted_share(found, [s.cluster for s in self.real])
+            actual = share_found(self.real, found)
             facts |= {
                 "actual": actual.value,
                 "actual_low": actual.low,
@@ -180,7 +180,7 @@ def run_trials(
         if inserted >= wanted:
             share = Comparison.of(trials.inserted, (), sizes).predicted(settings.confidence, by_overlap)
             wanted = inserted + _MORE
-            if share.half_width <= settings.until:
+            if share.half_width <= settings.until and share.count >= _FIRST:
                 break
         if on_progress is not None:
             on_progress(inserted, max(inserted + 1, _needed(share, settings.until)))
@@ -209,6 +209,7 @@ def measured_facts(trials: Trials, settings: DetectabilitySettings) -> MeasuredF
     scores = [picture.found.scores[picture.alarms] for picture in trials.searched.values()]
     alarms = np.concatenate(scores) if scores else np.zeros(0)
     pictures = len(trials.searched)
+    counts = {**trials.counts, "of_no_real_size": int((whole.weights == 0).sum())}
     return {
         "category": trials.rules.category,
         "confidence": settings.confidence,
@@ -229,7 +230,7 @@ def measured_facts(trials: Trials, settings: DetectabilitySettings) -> MeasuredF
         "pictures": pictures,
         "weighted_by": "sizes of the labelled objects" if sizes is not None and len(sizes.px) else "nothing",
         "real_of_other_sizes": whole.left_out,
-        "not_counted": {name: n for name, n in sorted(trials.counts.items()) if n},
+        "not_counted": {name: n for name, n in sorted(counts.items()) if n},
     }
 
 
@@ -245,13 +246,13 @@ def _cells(
         for value in values:
             ours = [s for s in inserted if value_of(s) == value]
             theirs = [s for s in real if value_of(s) == value]
-            if len(ours) < _LEAST_IN_CELL:
-                continue
             sizes = None
             if weighted and theirs:
                 px = np.array([s.size_px for s in theirs], np.float64)
                 sizes = Sizes(px, [stratum_of(s) for s in theirs])
             facts = Comparison.of(ours, theirs, sizes).recall(settings.confidence, by_overlap)
+            if facts["inserted"] < _LEAST_IN_CELL:
+                continue
             yield CellFacts(**facts, by=by, value=value)
 
 

@@ -221,10 +221,9 @@ class Trials:
             if number < len(behind):
                 conditions["behind"] = str(behind[number])
             track = "" if spec.track is None else f"{round_}/{capture.sequence}/{spec.track}"
-        # Looks at the same object depend on each other more than objects of a picture.
         return Sighting(
             key,
-            self.rules.clusters.get(key, track or key),
+            self.rules.clusters.get(key, key),
             _size_px(image, instance),
             float(score),
             float(near),

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.ground_position import LocalFrame, Pose, footprint, ground_pixel_m, pixels_of_ground, pose_of
@@ -28,8 +29,8 @@ from infrablend.pipeline.flights.insert_trials import GROUND_PIXEL_CM, UNKNOWN_T
 ASSUMED_RHO = 0.5
 _MOST_CELLS = 2500
 _LEAST_PAIRS = 50
-# Points at which the area of a sector is sampled, at most.
-_MOST_POINTS = 1_000_000
+# Most steps along each side of a sector, at which it is sampled.
+_MOST_STEPS = 800
 # A strip ends where the course turns by more, or a step is so many times as long as others.
 _TURN_DEG = 30.0
 _LONG_STEP = 4.0
@@ -63,6 +64,7 @@ class SearchMap:
         dependence: Correlation between looks.
         without_pose: Pictures without a pose, which the map leaves out.
         track_m: Length of the flight's strips.
+        track_points_m: (p, 2) points on them at even distances, metres east and north.
         sweep_width_m: Mean sweep width of its strips: the integral of the probability of detection across a strip.
             None without a strip.
     """
@@ -77,6 +79,7 @@ class SearchMap:
     dependence: Dependence
     without_pose: int
     track_m: float
+    track_points_m: FloatArray
     sweep_width_m: float | None
 
     def corners_m(self, k: int) -> FloatArray:
@@ -158,12 +161,18 @@ def map_detection(
     ]
     looks = _by_cell(of_picture, len(middles))
     shown = [k for k, of in enumerate(looks) if of]
+    if not shown:
+        return None
     pod, lower, upper = np.array([_cumulated(looks[k], dependence.rho) for k in shown]).reshape(-1, 3).T
     counts = np.array([len(looks[k]) for k in shown], np.float64)
     places = frame.to_metres(*np.array([(p.latitude_deg, p.longitude_deg) for _, p in posed]).T)
-    track_m, width_m = _sweep([i for i, _ in posed], places, of_picture, middles, side, dependence.rho)
+    strips = find_strips([i for i, _ in posed], places)
+    track_m, width_m = _sweep(strips, places, of_picture, middles, side, dependence.rho)
+    points = _along(strips, places, side)
     left_out = len(images) - len(posed)
-    return SearchMap(frame, side, middles[shown], counts, pod, lower, upper, dependence, left_out, track_m, width_m)
+    return SearchMap(
+        frame, side, middles[shown], counts, pod, lower, upper, dependence, left_out, track_m, points, width_m
+    )
 
 
 Looks = list[tuple[int, Share]]
@@ -242,8 +251,20 @@ def find_strips(images: Sequence[ImageRecord], places_m: FloatArray) -> list[lis
             strips[-1].append(end)
         else:
             strips.append([start, end])
-        course = step / length
+            course = step / length
     return strips
+
+
+def _along(strips: Sequence[Sequence[int]], places_m: FloatArray, step_m: float) -> FloatArray:
+    """Return (p, 2) points on straight strips, some `step_m` apart, each of which stands for as much of the track."""
+    total = sum(float(np.linalg.norm(places_m[s[-1]] - places_m[s[0]])) for s in strips)
+    step = max(step_m, total / _MOST_CELLS)
+    points = [np.zeros((0, 2))]
+    for strip in strips:
+        start, end = places_m[strip[0]], places_m[strip[-1]]
+        count = max(1, round(float(np.linalg.norm(end - start)) / step))
+        points.append(start + (np.arange(count)[:, None] + 0.5) / count * (end - start))
+    return np.concatenate(points)
 
 
 def _moment(image: ImageRecord) -> tuple[str, str, float, str]:
@@ -252,7 +273,7 @@ def _moment(image: ImageRecord) -> tuple[str, str, float, str]:
 
 
 def _sweep(
-    images: Sequence[ImageRecord], places_m: FloatArray, of_picture: Sequence[Looks], middles: FloatArray,
+    strips: Sequence[Sequence[int]], places_m: FloatArray, of_picture: Sequence[Looks], middles: FloatArray,
     cell_m: float, rho: float,
 ) -> tuple[float, float | None]:  # fmt: skip
     """Return the length of all strips, and their mean sweep width weighted by length.
@@ -262,7 +283,7 @@ def _sweep(
     """
     track_m = 0.0
     swept_m2 = 0.0
-    for strip in find_strips(images, places_m):
+    for strip in strips:
         start, end = places_m[strip[0]], places_m[strip[-1]]
         length = float(np.linalg.norm(end - start))
         along = (middles - start) @ ((end - start) / length)
@@ -284,29 +305,34 @@ def area_figures(found: SearchMap, sector: Sector | None = None) -> AreaFigures:
         area = len(found.pod) * found.cell_m**2
         pod, lower, upper = values[:, known].mean(axis=1) if known.any() else np.full(3, math.nan)
         return AreaFigures("flight", area, 1.0, float(pod), float(lower), float(upper), _coverage(found, area))
-    rings = [found.frame.to_metres(*ring.T) for ring in sector.rings]
-    corners = np.concatenate(rings)
+    corners = np.concatenate([found.frame.to_metres(*ring.T) for ring in sector.rings])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    # Points lie on the middles of cells, so that each is in one cell or in none.
-    first = found.middles_m[0] if len(found.middles_m) else low
-    stride = max(1, math.ceil(math.sqrt(float(np.prod((high - low) / found.cell_m)) / _MOST_POINTS)))
-    start, stop = np.floor((low - first) / found.cell_m), np.ceil((high - first) / found.cell_m)
-    columns, rows = (np.arange(a, b + 1, stride) for a, b in zip(start, stop, strict=True))
-    cells = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    degrees = found.frame.to_degrees(*(first + cells * found.cell_m).T)
-    inside = cells[sector.contains(degrees)].astype(np.int64)
-    places = np.rint((found.middles_m - first) / found.cell_m).astype(np.int64)
+    # Fine enough for a sector that is smaller than a cell, and not too fine for one that is much larger.
+    step = max(float((high - low).max()) / _MOST_STEPS, min(found.cell_m / 4, float((high - low).min()) / 20))
+    columns, rows = (np.arange(a + step / 2, b, step) for a, b in zip(low, high, strict=True))
+    points = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    inside = points[_contains(sector, found, points)]
+    origin = found.middles_m[0] - found.cell_m / 2
+    places = np.rint((found.middles_m - found.middles_m[0]) / found.cell_m).astype(np.int64)
     number = {tuple(place): k for k, place in enumerate(places.tolist()) if known[k]}
-    hits = [number[key] for place in inside.tolist() if (key := tuple(place)) in number]
+    cells = np.floor((inside - origin) / found.cell_m).astype(np.int64)
+    hits = [number[key] for place in cells.tolist() if (key := tuple(place)) in number]
     count = max(len(inside), 1)
-    area = len(inside) * (stride * found.cell_m) ** 2
+    area = len(inside) * step**2
     pod, lower, upper = values[:, hits].sum(axis=1) / count
-    photographed = len(hits) / count
-    return AreaFigures(sector.name, area, photographed, float(pod), float(lower), float(upper), _coverage(found, area))
+    share_of_track = float(_contains(sector, found, found.track_points_m).mean()) if len(found.track_points_m) else 0.0
+    coverage = _coverage(found, area, share_of_track)
+    return AreaFigures(sector.name, area, len(hits) / count, float(pod), float(lower), float(upper), coverage)
 
 
-def _coverage(found: SearchMap, area_m2: float) -> float | None:
-    return None if found.sweep_width_m is None or not area_m2 else found.sweep_width_m * found.track_m / area_m2
+def _contains(sector: Sector, found: SearchMap, points_m: FloatArray) -> NDArray[np.bool_]:
+    return sector.contains(found.frame.to_degrees(*points_m.T))
+
+
+def _coverage(found: SearchMap, area_m2: float, share_of_track: float = 1.0) -> float | None:
+    if found.sweep_width_m is None or not area_m2:
+        return None
+    return found.sweep_width_m * found.track_m * share_of_track / area_m2
 
 
 def map_features(found: SearchMap) -> list[MapFeature]:

@@ -14,6 +14,7 @@ from infrablend.detection.sightings import Sighting
 from infrablend.formats.maps.search_sectors import Sector
 from infrablend.pipeline.flights.corrected_counts import LookShares
 from infrablend.pipeline.flights.search_map import (
+    AreaFigures,
     Dependence,
     area_figures,
     cumulate,
@@ -143,3 +144,37 @@ def test_cells_are_areas_of_a_map() -> None:
     assert len(features) == len(found.pod)
     assert features[0].properties["pod"] == 0.8
     assert features[0].outline.shape == (4, 2)
+
+
+def test_small_sectors_and_far_ones_have_their_own_figures() -> None:
+    pictures = [picture(k, 0, HEIGHT_M * k) for k in range(5)]
+    found = map_detection(pictures, LookShares(trials(60, 100), 0.25), Dependence(0.5, "assumed"), 2.0)
+    assert found is not None
+
+    def figures(west: float, south: float, width: float, height: float) -> AreaFigures:
+        corners = np.array(
+            [[west, south], [west + width, south], [west + width, south + height], [west, south + height]]
+        )
+        return area_figures(found, Sector("s", (HOME.to_degrees(*corners.T),)))
+
+    gully = figures(-5, 20, 0.3, 60)
+    assert gully.area_m2 == pytest.approx(18, rel=0.05)
+    assert (gully.photographed, gully.pod) == (pytest.approx(1.0), pytest.approx(0.6))
+    far = figures(2000, 0, 50, 50)
+    assert (far.photographed, far.pod, far.coverage) == (0, 0, 0)
+    half = figures(-20, 0, 40, 2 * HEIGHT_M)  # the track is in it for half of its length
+    assert half.coverage == pytest.approx(0.6 * WIDTH_M * 2 * HEIGHT_M / (40 * 2 * HEIGHT_M), rel=0.06)
+
+
+def test_a_curved_track_is_no_straight_strip() -> None:
+    angles = np.radians(np.arange(0, 360, 10))
+    places = 100 * np.column_stack([np.cos(angles), np.sin(angles)])
+    pictures = [picture(k, *place) for k, place in enumerate(places.tolist())]
+    found = map_detection(pictures, LookShares(trials(60, 100), 0.25), Dependence(1.0, "measured"), 5.0)
+    assert found is not None
+    assert found.track_m == pytest.approx(2 * np.pi * 100, rel=0.06)
+
+
+def test_cells_larger_than_the_flight_give_no_map() -> None:
+    shares = LookShares(trials(80, 100), 0.25)
+    assert map_detection([picture(0, 0, 0)], shares, Dependence(0.5, "assumed"), 1000.0) is None
