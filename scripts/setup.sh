@@ -86,7 +86,7 @@ if [ -n "$index" ] && [ -z "${UV_DEFAULT_INDEX:-}${UV_INDEX_URL:-}" ]; then expo
 if [ -n "${PIP_CERT:-}" ] && [ -z "${SSL_CERT_FILE:-}" ]; then export SSL_CERT_FILE="$PIP_CERT"; fi
 export UV_HTTP_TIMEOUT="${UV_HTTP_TIMEOUT:-300}"
 
-say "installing the packages of requirements/project.txt (about 280 MB to download the first time, 1.1 GB on disk)"
+say "installing the packages of requirements/project.txt (about 355 MB to download the first time, 1.3 GB on disk)"
 free_mb="$(df -Pm . | awk 'NR == 2 { print $4 }')"
 [ "${free_mb:-9999}" -ge 3000 ] || say "only $free_mb MB free on this disk: that may not be enough"
 # Compiled at once: where PYTHONDONTWRITEBYTECODE is set, as in many containers, every process would compile numpy and
