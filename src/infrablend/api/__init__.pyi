@@ -77,9 +77,9 @@ from infrablend.detection.detectability_record import AlarmFacts as AlarmFacts
 from infrablend.pipeline.flights.detectability import (
     DetectabilityPlan as DetectabilityPlan,
     DetectabilityReport as DetectabilityReport,
-    DetectabilityRequest as DetectabilityRequest,
 )
-from infrablend.pipeline.flights.detectability_figures import (
+from infrablend.pipeline.flights.detectability_request import (
+    DetectabilityRequest as DetectabilityRequest,
     DetectabilitySettings as DetectabilitySettings,
 )
 from infrablend.pipeline.datasets.requests import (

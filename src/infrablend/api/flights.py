@@ -14,10 +14,10 @@ from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectReq
 from infrablend.pipeline.flights.detectability import (
     DetectabilityPlan,
     DetectabilityReport,
-    DetectabilityRequest,
     measure_detectability,
 )
 from infrablend.pipeline.flights.detectability import plan_detectability as plan_request
+from infrablend.pipeline.flights.detectability_request import DetectabilityRequest
 from infrablend.pipeline.flights.place_settings import DEFAULT_PLACES, PlaceSettings
 
 

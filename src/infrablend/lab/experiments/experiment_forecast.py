@@ -30,7 +30,7 @@ from infrablend.lab.training.presets import cpu_threads, estimate_seconds
 from infrablend.lab.training.start_weights import AUTO, SCRATCH, network_of, require_known
 from infrablend.lab.training.train import require_arguments
 from infrablend.lab.training.training_record import TrainingRecord
-from infrablend.pipeline.flights.detectability import DEFAULT_DETECTABILITY
+from infrablend.pipeline.flights.detectability_request import DEFAULT_DETECTABILITY
 from infrablend.pipeline.plans.scenes import about_scenes
 
 LEARNING = ("train", "evaluate", "detectability")

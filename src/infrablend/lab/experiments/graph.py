@@ -36,7 +36,7 @@ from infrablend.lab.training.presets import Preset
 from infrablend.lab.training.start_weights import AUTO, identify
 from infrablend.lab.training.train_request import choose_preset
 from infrablend.pipeline.datasets.content import content_digest
-from infrablend.pipeline.flights.detectability import DEFAULT_DETECTABILITY
+from infrablend.pipeline.flights.detectability_request import DEFAULT_DETECTABILITY
 from infrablend.pipeline.plans.scenes import about_scenes
 from infrablend.pipeline.storage.fetch import require_source
 

@@ -36,8 +36,8 @@ from infrablend.pipeline.datasets.convert import convert_dataset
 from infrablend.pipeline.datasets.requests import ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.select import select
 from infrablend.pipeline.datasets.split import split_dataset
-from infrablend.pipeline.flights.detectability import DetectabilityRequest, measure_detectability
-from infrablend.pipeline.flights.detectability_figures import DetectabilitySettings
+from infrablend.pipeline.flights.detectability import measure_detectability
+from infrablend.pipeline.flights.detectability_request import DetectabilityRequest, DetectabilitySettings
 from infrablend.pipeline.plans.run_request import Execution, RunRequest
 from infrablend.pipeline.runs.generate import run_request
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
 from infrablend import __version__
-from infrablend.config.loading import read_recipe
-from infrablend.config.recipe import AUTO
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_json, write_text
 from infrablend.core.ground_position import pose_of
@@ -25,22 +22,20 @@ from infrablend.detection.recall import Z95
 from infrablend.detection.training_origin import TrainingOrigin, training_origin
 from infrablend.detection.truth import image_key, match_classes
 from infrablend.errors import DatasetError, ModelError, Problem
-from infrablend.formats import dataset_folder
 from infrablend.formats.image_groups import group_images
 from infrablend.formats.maps.map_files import write_geojson
 from infrablend.formats.maps.search_sectors import Sector, read_sectors
-from infrablend.formats.pictures.listing import with_sizes
-from infrablend.formats.read_write import READ_ALL, Reading
-from infrablend.pipeline.compose.memory_frames import Frames, FramesRequest
+from infrablend.pipeline.compose.memory_frames import Frames
+from infrablend.pipeline.flights.aligned_poses import align_poses
 from infrablend.pipeline.flights.corrected_counts import LookShares
 from infrablend.pipeline.flights.detectability_figures import (
     FACTS,
     LEAST_COMPARED,
-    DetectabilitySettings,
     measured_facts,
     run_trials,
 )
-from infrablend.pipeline.flights.flight_looks import as_flights, motion_by_pose
+from infrablend.pipeline.flights.detectability_request import DetectabilityRequest, DetectabilitySettings
+from infrablend.pipeline.flights.flight_poses import find_poses
 from infrablend.pipeline.flights.insert_trials import TrialRules, Trials
 from infrablend.pipeline.flights.search_map import (
     AreaFigures,
@@ -50,48 +45,12 @@ from infrablend.pipeline.flights.search_map import (
     map_detection,
     map_features,
 )
-from infrablend.pipeline.plans.planning import reading_for
-from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, Settings
-from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
+from infrablend.pipeline.flights.trial_frames import trial_frames
 from infrablend.report.detectability_page import PAGE, detectability_page
 from infrablend.report.flight_map import draw_cells
 
-_SEED = 1_000_003
-"""Seed 0 of trials: other objects than those of a run with seed 0, on which a detector may have been trained."""
 _PLANNED_FRAMES = 8
 MAP = "detectability.geojson"
-DEFAULT_DETECTABILITY = DetectabilitySettings()
-
-
-@dataclass(frozen=True)
-class DetectabilityRequest:
-    """Request for the detectability of a recipe's objects.
-
-    Attributes:
-        recipe: Name of a shipped recipe, or path of a YAML file.
-        detector: Weights, an ONNX file, or the folder of a training.
-        data: Folder of the pictures.
-        settings: What counts, and how narrow the interval has to be.
-        recipe_settings: Recipe fields to set.
-        selection: Pictures to use.
-        reading: How to read the pictures.
-        execution: Workers and renderer of the inserted objects.
-        device: Device of the detector.
-        classes: Names of the classes of a detector that has none.
-        seed: Seed of the objects, their places and the order of the pictures.
-    """
-
-    recipe: str | Path
-    detector: Path
-    data: Path
-    settings: DetectabilitySettings = DEFAULT_DETECTABILITY
-    recipe_settings: Settings = ()
-    selection: FrameSelection = ALL_FRAMES
-    reading: Reading = READ_ALL
-    execution: Execution = DEFAULT_EXECUTION
-    device: str = "auto"
-    classes: tuple[str, ...] = ()
-    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,17 +87,17 @@ def measure_detectability(
     started = time.monotonic()
     with workspace(out, "detectability", FACTS, replacing(overwrite)) as space:
         finder = load_finder(request.detector, device=request.device, classes=request.classes)
-        with Frames(_frames_request(request)) as frames:
+        with Frames(trial_frames(request)) as frames:
             trials = Trials(frames, finder, _rules(request, frames, finder))
             origin = training_origin(request.detector)
             problems = [*frames.problems, *finder.problems]
             problems += [] if origin is None else _circles(origin, request, trials)
             sectors = _sectors(request.settings, trials, problems)
-            run_trials(trials, request.settings, _SEED + request.seed, paced(on_progress))
+            run_trials(trials, request.settings, request.trial_seed, paced(on_progress))
             if not trials.inserted:
                 raise _nothing_inserted(request, trials)
             problems += trials.unread
-            found = _search_map(request.settings, trials, problems)
+            found = _search_map(request.data.name, request.settings, trials, problems)
             areas = [] if found is None else [area_figures(found), *(area_figures(found, s) for s in sectors)]
             measured = measured_facts(trials, request.settings)
             problems += _not_reached(request.settings, measured)
@@ -176,11 +135,11 @@ class DetectabilityPlan:
 def plan_detectability(request: DetectabilityRequest) -> DetectabilityPlan:
     """Return what `measure_detectability` would take; its errors are the same."""
     finder = load_finder(request.detector, device=request.device, classes=request.classes)
-    with Frames(_frames_request(request)) as frames:
+    with Frames(trial_frames(request)) as frames:
         trials = Trials(frames, finder, _rules(request, frames, finder))
         tried = 0
         began = started = time.monotonic()
-        for tried in trials.rounds(_SEED + request.seed, 1):
+        for tried in trials.rounds(request.trial_seed, 1):
             if tried == 1:  # workers start with the first frame
                 started = time.monotonic()
             if tried > _PLANNED_FRAMES:
@@ -200,52 +159,6 @@ def plan_detectability(request: DetectabilityRequest) -> DetectabilityPlan:
             needed * seconds,
             (*frames.problems, *finder.problems),
         )
-
-
-def _frames_request(request: DetectabilityRequest) -> FramesRequest:
-    """Return the request for the frames; over a flight, every object stays at its place through all pictures.
-
-    Raises:
-        DatasetError: Looks over a flight were asked for, but the pictures or the recipe do not allow them.
-    """
-    plain = FramesRequest(
-        request.recipe,
-        request.data,
-        request.selection,
-        _SEED + request.seed,
-        request.recipe_settings,
-        request.reading,
-        request.execution,
-    )
-    recipe = read_recipe(request.recipe, request.recipe_settings).recipe
-    dataset = dataset_folder.read(request.data, reading_for(recipe, request.reading, request.data))
-    # Pictures whose header cannot be read keep no size, and are named where they are decoded.
-    sized = {image_key(i): i for i in with_sizes(dataset.images, image_key, [])}
-    dataset = replace(dataset, images=tuple(sized.get(image_key(i), i) for i in dataset.images))
-    plain = replace(plain, dataset=dataset)
-    if request.settings.looks == "single":
-        return plain
-    flight = None if recipe.in_sequences or recipe.placement.mode != "metric" else as_flights(dataset)
-    if flight is None:
-        if request.settings.looks == "flight":
-            found = (
-                "pictures without pose or overlap, or that are numbered frames of a clip; or a recipe without places"
-            )
-            expected = "overlapping pictures with poses, and a recipe with placement.mode: metric and without motion"
-            raise DatasetError(
-                f"{request.data}: no flight", [Problem("looks", "no-flight", found, expected, "take --looks single")]
-            )
-        return plain
-    added: dict[str, object] = {f"objects.{k}.motion": {"kind": "still"} for k in range(len(recipe.objects))}
-    if recipe.configurations == AUTO:  # which counts objects of single pictures
-        added["configurations"] = 1
-    given = request.recipe_settings
-    settings: Settings
-    if isinstance(given, Mapping):
-        settings = {**given, **added}
-    else:
-        settings = [*given, *(f"{field}={json.dumps(value)}" for field, value in added.items())]
-    return replace(plain, dataset=flight, settings=settings, follow=motion_by_pose)
 
 
 def _rules(request: DetectabilityRequest, frames: Frames, finder: Finder) -> TrialRules:
@@ -311,12 +224,17 @@ def _not_reached(settings: DetectabilitySettings, facts: MeasuredFacts) -> list[
     return [Problem("until", "until-not-reached", found, f"+-{settings.until:g}", todo, "warning")]
 
 
-def _search_map(settings: DetectabilitySettings, trials: Trials, problems: list[Problem]) -> SearchMap | None:
+def _search_map(
+    where: str, settings: DetectabilitySettings, trials: Trials, problems: list[Problem]
+) -> SearchMap | None:
     """Return the map of the flight; None, with a warning, where no picture has a pose."""
     images = [picture.image for picture in trials.searched.values()]
     shares = LookShares(trials.inserted, settings.confidence)
     dependence = find_dependence(trials.inserted, settings.confidence)
-    found = map_detection(images, shares, dependence, settings.cell_m)
+    # Yaw and lens that the overlap of pictures contradicts are replaced, as in `detect`.
+    aligned = align_poses(where, images, find_poses(images), ())
+    problems += aligned.problems
+    found = map_detection(images, aligned.poses.known, shares, dependence, settings.cell_m)
     if found is None:
         problems.append(_no_map(images))
     return found

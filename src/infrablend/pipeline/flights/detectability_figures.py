@@ -9,23 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from infrablend.core.arguments import require_whole
 from infrablend.detection.detectability_record import AlarmFacts, CellFacts, MeasuredFacts, RecallFacts
 from infrablend.detection.detections import FloatArray
 from infrablend.detection.matching import SIZE_BINS
 from infrablend.detection.recall import Share, difference, weighted_share, weights_of_sizes
 from infrablend.detection.sightings import Sighting, share_found
-from infrablend.errors import ArgumentError
 from infrablend.pipeline.flights.corrected_counts import count_looks
+from infrablend.pipeline.flights.detectability_request import DetectabilitySettings
 from infrablend.pipeline.flights.insert_trials import Trials, stratum
 from infrablend.report.figures import stratum_order
 
-CONFIDENCES = (0.1, 0.25, 0.4)
 FACTS = "detectability.json"
 
 # Figures are looked at after so many inserted objects, and again after so many more.
@@ -34,53 +30,6 @@ _MORE = 20
 # Least number of inserted objects in a cell, and of real ones, for it to be listed or compared.
 _LEAST_IN_CELL = 10
 LEAST_COMPARED = 40
-
-
-@dataclass(frozen=True)
-class DetectabilitySettings:
-    """Settings of `detectability`.
-
-    Attributes:
-        until: Insert until half of the interval of the share found is at most this.
-        confidence: Least score of a detection that counts as one.
-        category: Class to look for [default: that of the recipe's first object].
-        least_overlap: Least overlap of a detection with its object.
-        most_rounds: Most times that each picture is used, each time with other objects.
-        group: Pictures whose results depend on each other: image, sequence, date or gap.
-        sizes: Sizes of objects to weight by: those of the labelled objects (real), or of the inserted ones (inserted).
-        looks: flight: an object stays at its place through all pictures that show it; single: each picture has its own;
-            auto: flight for pictures with poses that overlap, else single.
-        sectors: GeoJSON file with the sectors of a search, to give figures for each.
-        cell_m: Side of a cell of the map, metres [default: some 2,500 cells].
-
-    Raises:
-        ArgumentError: A value is not one of these.
-    """
-
-    until: float = 0.03
-    confidence: float = 0.25
-    category: str | None = None
-    least_overlap: float = 0.3
-    most_rounds: int = 10
-    group: Literal["image", "sequence", "date", "gap"] = "image"
-    sizes: Literal["real", "inserted"] = "real"
-    looks: Literal["auto", "single", "flight"] = "auto"
-    sectors: Path | None = None
-    cell_m: float | None = None
-
-    def __post_init__(self) -> None:
-        require_whole("most_rounds", self.most_rounds, 1)
-        if self.cell_m is not None and not 0.01 <= self.cell_m <= 1000:
-            raise ArgumentError(f"cell_m: found {self.cell_m}, expected metres from 0.01 to 1000")
-        for name, low, high in (("until", 0.0, 0.5), ("confidence", 0.01, 1.0), ("least_overlap", 0.0, 1.0)):
-            value = getattr(self, name)
-            if not low < value <= high and not (name == "confidence" and value == low):
-                raise ArgumentError(f"{name}: found {value}, expected a number above {low:g} and up to {high:g}")
-
-    @property
-    def confidences(self) -> tuple[float, ...]:
-        """Confidences to report, in ascending order."""
-        return tuple(sorted({*CONFIDENCES, self.confidence}))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ The best look counts whole, each other one by 1 - rho, where rho is the correlat
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.ground_position import LocalFrame, Pose, footprint, ground_pixel_m, pixels_of_ground, pose_of
+from infrablend.core.ground_position import LocalFrame, Pose, footprint, ground_pixel_m, pixels_of_ground
 from infrablend.detection.detections import FloatArray
 from infrablend.detection.recall import Share
 from infrablend.detection.sightings import Sighting
+from infrablend.detection.truth import image_key
 from infrablend.formats.maps.map_files import MapFeature
 from infrablend.formats.maps.search_sectors import Sector
 from infrablend.pipeline.flights.corrected_counts import LookShares
@@ -130,6 +131,7 @@ def find_dependence(inserted: Sequence[Sighting], confidence: float) -> Dependen
 
 def map_detection(
     images: Sequence[ImageRecord],
+    poses: Mapping[str, Pose],
     shares: LookShares,
     dependence: Dependence,
     cell_m: float | None = None,
@@ -138,11 +140,12 @@ def map_detection(
 
     Args:
         images: Pictures that were searched.
+        poses: Known poses of pictures, by `<split>/<name>`.
         shares: Share found in one look.
         dependence: Correlation between looks.
         cell_m: Side of a cell; by default the ground is divided into some 2,500 cells.
     """
-    posed = [(image, pose) for image in images if not isinstance(pose := pose_of(image), str)]
+    posed = [(image, poses[key]) for image in images if (key := image_key(image)) in poses]
     if not posed:
         return None
     frame = LocalFrame(posed[0][1].latitude_deg, posed[0][1].longitude_deg)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from infrablend.core.ground_position import LocalFrame
 from infrablend.detection.sightings import Sighting
 from infrablend.formats.maps.search_sectors import Sector
 from infrablend.pipeline.flights.corrected_counts import LookShares
+from infrablend.pipeline.flights.flight_poses import find_poses
 from infrablend.pipeline.flights.search_map import (
     AreaFigures,
     Dependence,
+    SearchMap,
     area_figures,
     cumulate,
     find_dependence,
@@ -38,13 +41,17 @@ def picture(k: int, east: float, north: float, yaw: float = 0.0) -> ImageRecord:
     return ImageRecord(f"p{k}", Path(f"p{k}.png"), "train", (640, 512), (), capture)
 
 
+def mapped(pictures: list[ImageRecord], *rest: Any) -> SearchMap | None:
+    return map_detection(pictures, find_poses(pictures).known, *rest)
+
+
 def trials(found: int, of: int, ground: str = "6-8 cm") -> list[Sighting]:
     conditions = {"time": "day", "ground pixel": ground}
     return [Sighting(f"p{k}", f"p{k}", 20.0, 0.9 if k < found else 0.0, 0.0, conditions) for k in range(of)]
 
 
 def test_one_picture_has_the_share_found_in_one_look() -> None:
-    found = map_detection([picture(0, 0, 0)], LookShares(trials(80, 100), 0.25), Dependence(0.5, "assumed"), 1.0)
+    found = mapped([picture(0, 0, 0)], LookShares(trials(80, 100), 0.25), Dependence(0.5, "assumed"), 1.0)
     assert found is not None
     assert found.pod == pytest.approx(np.full(len(found.pod), 0.8))
     assert len(found.pod) == pytest.approx(WIDTH_M * HEIGHT_M, rel=0.06)
@@ -56,7 +63,7 @@ def test_one_picture_has_the_share_found_in_one_look() -> None:
 @pytest.mark.parametrize(("rho", "pod"), [(0.0, 1 - 0.2**2), (1.0, 0.8)])
 def test_overlapping_pictures_cumulate_by_their_dependence(rho: float, pod: float) -> None:
     pictures = [picture(0, 0, 0), picture(1, 0, 0)]
-    found = map_detection(pictures, LookShares(trials(80, 100), 0.25), Dependence(rho, "measured"), 1.0)
+    found = mapped(pictures, LookShares(trials(80, 100), 0.25), Dependence(rho, "measured"), 1.0)
     assert found is not None
     assert (found.looks == 2).all()
     assert found.pod == pytest.approx(np.full(len(found.pod), pod))
@@ -65,14 +72,14 @@ def test_overlapping_pictures_cumulate_by_their_dependence(rho: float, pod: floa
 def test_the_sweep_width_of_a_strip_is_its_width_times_the_share() -> None:
     # Pictures that just touch: every place is seen once.
     pictures = [picture(k, 0, HEIGHT_M * k) for k in range(5)]
-    found = map_detection(pictures, LookShares(trials(60, 100), 0.25), Dependence(0.5, "assumed"), 1.0)
+    found = mapped(pictures, LookShares(trials(60, 100), 0.25), Dependence(0.5, "assumed"), 1.0)
     assert found is not None
     assert found.track_m == pytest.approx(4 * HEIGHT_M, rel=0.01)
     assert found.sweep_width_m == pytest.approx(0.6 * WIDTH_M, rel=0.05)
 
 
 def test_a_sector_counts_what_no_picture_shows_as_nothing() -> None:
-    found = map_detection([picture(0, 0, 0)], LookShares(trials(80, 100), 0.25), Dependence(0.5, "assumed"), 1.0)
+    found = mapped([picture(0, 0, 0)], LookShares(trials(80, 100), 0.25), Dependence(0.5, "assumed"), 1.0)
     assert found is not None
     corners = np.array([[0.0, -10], [60, -10], [60, 10], [0, 10]])  # 21.3 of 60 m are photographed
     ring = HOME.to_degrees(*corners.T)
@@ -87,7 +94,7 @@ def test_a_sector_counts_what_no_picture_shows_as_nothing() -> None:
 
 def test_cells_of_conditions_without_inserts_take_the_share_of_all() -> None:
     shares = LookShares([*trials(80, 100, "12-16 cm"), *trials(0, 3)], 0.25)
-    found = map_detection([picture(0, 0, 0)], shares, Dependence(0.5, "assumed"), 2.0)
+    found = mapped([picture(0, 0, 0)], shares, Dependence(0.5, "assumed"), 2.0)
     assert found is not None
     assert found.pod == pytest.approx(np.full(len(found.pod), 80 / 103))
 
@@ -95,8 +102,8 @@ def test_cells_of_conditions_without_inserts_take_the_share_of_all() -> None:
 def test_pictures_without_a_pose_are_left_out_and_counted() -> None:
     without = ImageRecord("q", Path("q.png"), "train", (640, 512), (), Capture(pitch_deg=90.0))
     shares = LookShares(trials(80, 100), 0.25)
-    assert map_detection([without], shares, Dependence(0.5, "assumed")) is None
-    found = map_detection([picture(0, 0, 0), without], shares, Dependence(0.5, "assumed"))
+    assert mapped([without], shares, Dependence(0.5, "assumed")) is None
+    found = mapped([picture(0, 0, 0), without], shares, Dependence(0.5, "assumed"))
     assert found is not None
     assert found.without_pose == 1
 
@@ -138,7 +145,7 @@ def test_cumulated_looks_never_lose() -> None:
 
 
 def test_cells_are_areas_of_a_map() -> None:
-    found = map_detection([picture(0, 0, 0)], LookShares(trials(80, 100), 0.25), Dependence(0.5, "assumed"), 5.0)
+    found = mapped([picture(0, 0, 0)], LookShares(trials(80, 100), 0.25), Dependence(0.5, "assumed"), 5.0)
     assert found is not None
     features = map_features(found)
     assert len(features) == len(found.pod)
@@ -148,7 +155,7 @@ def test_cells_are_areas_of_a_map() -> None:
 
 def test_small_sectors_and_far_ones_have_their_own_figures() -> None:
     pictures = [picture(k, 0, HEIGHT_M * k) for k in range(5)]
-    found = map_detection(pictures, LookShares(trials(60, 100), 0.25), Dependence(0.5, "assumed"), 2.0)
+    found = mapped(pictures, LookShares(trials(60, 100), 0.25), Dependence(0.5, "assumed"), 2.0)
     assert found is not None
 
     def figures(west: float, south: float, width: float, height: float) -> AreaFigures:
@@ -170,11 +177,11 @@ def test_a_curved_track_is_no_straight_strip() -> None:
     angles = np.radians(np.arange(0, 360, 10))
     places = 100 * np.column_stack([np.cos(angles), np.sin(angles)])
     pictures = [picture(k, *place) for k, place in enumerate(places.tolist())]
-    found = map_detection(pictures, LookShares(trials(60, 100), 0.25), Dependence(1.0, "measured"), 5.0)
+    found = mapped(pictures, LookShares(trials(60, 100), 0.25), Dependence(1.0, "measured"), 5.0)
     assert found is not None
     assert found.track_m == pytest.approx(2 * np.pi * 100, rel=0.06)
 
 
 def test_cells_larger_than_the_flight_give_no_map() -> None:
     shares = LookShares(trials(80, 100), 0.25)
-    assert map_detection([picture(0, 0, 0)], shares, Dependence(0.5, "assumed"), 1000.0) is None
+    assert mapped([picture(0, 0, 0)], shares, Dependence(0.5, "assumed"), 1000.0) is None
