@@ -65,7 +65,11 @@ class AreaRow(TypedDict):
 
 
 class MapFacts(TypedDict):
-    """The map of a flight: its cells, how far looks depend on each other, and the figures of flight and sectors."""
+    """The map of a flight: its cells, how far looks depend on each other, and the figures of flight and sectors.
+
+    `searched_ha` is the ground of all pictures, what several show several times; `alarms_per_ha` are the alarms in
+    these pictures, at the stated confidence, by that area.
+    """
 
     cell_m: float
     cells: int
@@ -74,6 +78,8 @@ class MapFacts(TypedDict):
     track_m: float
     sweep_width_m: float | None
     pictures_without_pose: int
+    searched_ha: float
+    alarms_per_ha: float
     areas: list[AreaRow]
 
 

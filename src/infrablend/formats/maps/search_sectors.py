@@ -21,7 +21,11 @@ from infrablend.errors import DatasetError, Problem
 
 FARTHEST_M = 20_000.0
 """Sectors farther from every picture belong to another search."""
-_CRS84 = ("urn:ogc:def:crs:OGC:1.3:CRS84", "urn:ogc:def:crs:OGC::CRS84", "OGC:CRS84")
+# What programs write for WGS 84; in GeoJSON the longitude comes first with each of them.
+_CRS84 = (
+    "urn:ogc:def:crs:OGC:1.3:CRS84", "urn:ogc:def:crs:OGC::CRS84", "OGC:CRS84", "EPSG:4326",
+    "urn:ogc:def:crs:EPSG::4326",
+)  # fmt: skip
 _EXPECTED = "rings of [longitude, latitude] in degrees, at least three corners each"
 
 

@@ -103,7 +103,7 @@ def measure_detectability(
             problems += _not_reached(request.settings, measured)
             facts = _facts(request, finder, origin, frames.recipe.name, measured, problems)
         if found is not None:
-            facts["map"] = _map_facts(found, areas)
+            facts["map"] = _map_facts(found, areas, _alarms(trials, request.settings.confidence))
             write_geojson(space.folder / MAP, map_features(found))
         write_json(space.folder / FACTS, facts)
         write_text(space.folder / PAGE, detectability_page(facts, _drawn(found)))
@@ -266,7 +266,13 @@ def _no_map(images: Sequence[ImageRecord]) -> Problem:
     )
 
 
-def _map_facts(found: SearchMap, areas: Sequence[AreaFigures]) -> MapFacts:
+def _alarms(trials: Trials, confidence: float) -> int:
+    """Return the alarms in pictures with a pose."""
+    posed = [p for p in trials.searched.values() if not isinstance(pose_of(p.image), str)]
+    return sum(int((p.alarms & (p.found.scores >= confidence)).sum()) for p in posed)
+
+
+def _map_facts(found: SearchMap, areas: Sequence[AreaFigures], alarms: int) -> MapFacts:
     rows = [{k: None if v != v else v for k, v in asdict(area).items()} for area in areas]
     return {
         "cell_m": found.cell_m,
@@ -276,6 +282,8 @@ def _map_facts(found: SearchMap, areas: Sequence[AreaFigures]) -> MapFacts:
         "track_m": found.track_m,
         "sweep_width_m": found.sweep_width_m,
         "pictures_without_pose": found.without_pose,
+        "searched_ha": found.searched_m2 / 1e4,
+        "alarms_per_ha": alarms / (found.searched_m2 / 1e4),
         "areas": cast("list[AreaRow]", rows),
     }
 

@@ -64,6 +64,7 @@ class SearchMap:
         high: (n,) its upper end: with the upper ends, and independent looks.
         dependence: Correlation between looks.
         without_pose: Pictures without a pose, which the map leaves out.
+        searched_m2: Sum of the ground in the pictures: what several show counts several times.
         track_m: Length of the flight's strips.
         track_points_m: (p, 2) points on them at even distances, metres east and north.
         sweep_width_m: Mean sweep width of its strips: the integral of the probability of detection across a strip.
@@ -79,6 +80,7 @@ class SearchMap:
     high: FloatArray
     dependence: Dependence
     without_pose: int
+    searched_m2: float
     track_m: float
     track_points_m: FloatArray
     sweep_width_m: float | None
@@ -174,8 +176,25 @@ def map_detection(
     points = _along(strips, places, side)
     left_out = len(images) - len(posed)
     return SearchMap(
-        frame, side, middles[shown], counts, pod, lower, upper, dependence, left_out, track_m, points, width_m
+        frame,
+        side,
+        middles[shown],
+        counts,
+        pod,
+        lower,
+        upper,
+        dependence,
+        without_pose=len(images) - len(posed),
+        searched_m2=sum(_area_m2(outline) for outline in seen),
+        track_m=track_m,
+        track_points_m=points,
+        sweep_width_m=width_m,
     )
+
+
+def _area_m2(ring_m: FloatArray) -> float:
+    x, y = (ring_m - ring_m[0]).T
+    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
 
 Looks = list[tuple[int, Share]]

@@ -66,6 +66,7 @@ def test_overlapping_pictures_cumulate_by_their_dependence(rho: float, pod: floa
     found = mapped(pictures, LookShares(trials(80, 100), 0.25), Dependence(rho, "measured"), 1.0)
     assert found is not None
     assert (found.looks == 2).all()
+    assert found.searched_m2 == pytest.approx(2 * WIDTH_M * HEIGHT_M, rel=0.001)
     assert found.pod == pytest.approx(np.full(len(found.pod), pod))
 
 
