@@ -174,7 +174,6 @@ def map_detection(
     strips = find_strips([i for i, _ in posed], places)
     track_m, width_m = _sweep(strips, places, of_picture, middles, side, dependence.rho)
     points = _along(strips, places, side)
-    left_out = len(images) - len(posed)
     return SearchMap(
         frame,
         side,
