@@ -57,13 +57,21 @@ def are_shares(boxes_xyxy: FloatArray) -> NDArray[np.bool_]:
 
 def box_iou(a_xyxy: FloatArray, b_xyxy: FloatArray) -> FloatArray:
     """Return the (N, M) intersection over union of boxes (N, 4) and (M, 4); 0 where both are empty."""
+    both = shared_areas(a_xyxy, b_xyxy)
+    union = box_areas(a_xyxy)[:, None] + box_areas(b_xyxy)[None] - both
+    return np.asarray(np.divide(both, union, out=np.zeros_like(both), where=union > 0))
+
+
+def shared_areas(a_xyxy: FloatArray, b_xyxy: FloatArray) -> FloatArray:
+    """Return the (N, M) areas that boxes (N, 4) and (M, 4) have in common."""
     low = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
     high = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])
-    both = np.prod(np.maximum(high - low, 0.0), axis=-1)
-    area_a = np.prod(np.maximum(a_xyxy[:, 2:] - a_xyxy[:, :2], 0.0), axis=-1)
-    area_b = np.prod(np.maximum(b_xyxy[:, 2:] - b_xyxy[:, :2], 0.0), axis=-1)
-    union = area_a[:, None] + area_b[None] - both
-    return np.asarray(np.divide(both, union, out=np.zeros_like(both), where=union > 0))
+    return np.asarray(np.prod(np.maximum(high - low, 0.0), axis=-1))
+
+
+def box_areas(boxes_xyxy: FloatArray) -> FloatArray:
+    """Return the (N,) areas of boxes (N, 4); 0 for empty ones."""
+    return np.asarray(np.prod(np.maximum(boxes_xyxy[:, 2:] - boxes_xyxy[:, :2], 0.0), axis=-1))
 
 
 def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple[int, int, int, int]:

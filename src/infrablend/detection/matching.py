@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pycocotools import mask as _coco
 
+from infrablend.core.boxes import box_areas, shared_areas
 from infrablend.core.rng import stream
 from infrablend.detection.detections import Detections, FloatArray, Task
 from infrablend.detection.truth import Case, Truth, long_sides
@@ -170,30 +171,11 @@ def overlaps(found: Detections, truth: Truth, task: Task) -> FloatArray:
         of_found = polygon_areas(found.corners_xy)
         of_truth = polygon_areas(truth.corners_xy)
     else:
-        both = _shared_areas(found.boxes_xyxy, truth.boxes_xyxy)
-        of_found = _areas(found.boxes_xyxy)
-        of_truth = _areas(truth.boxes_xyxy)
+        both = shared_areas(found.boxes_xyxy, truth.boxes_xyxy)
+        of_found = box_areas(found.boxes_xyxy)
+        of_truth = box_areas(truth.boxes_xyxy)
     whole = np.where(truth.ignore[None], of_found[:, None], of_found[:, None] + of_truth[None] - both)
     return np.asarray(np.divide(both, whole, out=np.zeros_like(both), where=whole > 0))
-
-
-def box_overlaps(first_xyxy: FloatArray, second_xyxy: FloatArray, *, of_first: bool = False) -> FloatArray:
-    """Return the (n, g) intersection over union of boxes, or the share of the first ones inside the second."""
-    both = _shared_areas(first_xyxy, second_xyxy)
-    whole = np.broadcast_to(_areas(first_xyxy)[:, None], both.shape)
-    if not of_first:
-        whole = whole + _areas(second_xyxy)[None] - both
-    return np.asarray(np.divide(both, whole, out=np.zeros_like(both), where=whole > 0))
-
-
-def _shared_areas(first_xyxy: FloatArray, second_xyxy: FloatArray) -> FloatArray:
-    low = np.maximum(first_xyxy[:, None, :2], second_xyxy[None, :, :2])
-    high = np.minimum(first_xyxy[:, None, 2:], second_xyxy[None, :, 2:])
-    return np.asarray(np.prod(np.maximum(high - low, 0.0), axis=-1))
-
-
-def _areas(boxes_xyxy: FloatArray) -> FloatArray:
-    return np.asarray(np.prod(np.maximum(boxes_xyxy[:, 2:] - boxes_xyxy[:, :2], 0.0), axis=-1))
 
 
 def polygon_areas(polygons: FloatArray) -> FloatArray:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.boxes import box_areas, box_iou, shared_areas
 from infrablend.detection.detections import Detections, FloatArray
-from infrablend.detection.matching import box_overlaps
 from infrablend.detection.recall import Share, weighted_share
 
 NEAR_PX = 8.0
@@ -60,11 +60,13 @@ def match_scores(
         (g,) scores by overlap, (g,) scores by place (see `Sighting.score_near`), and (n,) whether a detection is an
         alarm, which neither sees an object nor lies in a region.
     """
-    overlap = box_overlaps(found.boxes_xyxy, boxes_xyxy)
+    overlap = box_iou(found.boxes_xyxy, boxes_xyxy)
     near = _nearness(found.boxes_xyxy, boxes_xyxy)
     by_overlap, of_object = _choose(np.where(overlap >= least_overlap, overlap, 0.0), found.scores)
     by_place, at_object = _choose(near, found.scores)
-    inside = box_overlaps(found.boxes_xyxy, regions_xyxy, of_first=True).max(axis=1, initial=0.0) >= 0.5
+    in_region = shared_areas(found.boxes_xyxy, regions_xyxy).max(axis=1, initial=0.0)
+    area = box_areas(found.boxes_xyxy)
+    inside = (area > 0) & (in_region >= 0.5 * area)
     return by_overlap, by_place, ~(of_object | at_object | inside)
 
 

@@ -113,6 +113,7 @@ class Frames:
 
     Attributes:
         ids: Ids of the frames, in the order of a run.
+        backgrounds: Backgrounds of the frames with their own labels, by the id of the frame.
         categories: Classes of the labels.
         problems: Backgrounds that were left out, and warnings.
     """
@@ -151,14 +152,10 @@ class Frames:
         self._settings = settings_for(self._plan, levels, request.execution, extensions=extensions)
         self._frames = {f.frame_id: f for f in self._plan.frames}
         self.ids: tuple[str, ...] = tuple(self._frames)
+        self.backgrounds: dict[str, ImageRecord] = {f.frame_id: f.as_read for f in self._plan.frames}
         self.categories: tuple[Category, ...] = self._plan.categories
         require_height(self._plan.recipe, self._plan.problems)
         self.problems: list[Problem] = list(self._plan.problems)
-
-    @property
-    def backgrounds(self) -> dict[str, ImageRecord]:
-        """Backgrounds of the frames with their own labels, by the id of the frame; those of unchanged originals too."""
-        return {frame_id: planned.as_read for frame_id, planned in self._frames.items()}
 
     @property
     def inserted_classes(self) -> tuple[str, ...]:

@@ -11,9 +11,7 @@ from typing import cast
 import numpy as np
 
 from infrablend import __version__
-from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_json, write_text
-from infrablend.core.ground_position import pose_of
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import replacing, workspace
 from infrablend.detection.detectability_record import AreaRow, DetectabilityFacts, MapFacts, MeasuredFacts
@@ -35,7 +33,7 @@ from infrablend.pipeline.flights.detectability_figures import (
     run_trials,
 )
 from infrablend.pipeline.flights.detectability_request import DetectabilityRequest, DetectabilitySettings
-from infrablend.pipeline.flights.flight_poses import find_poses
+from infrablend.pipeline.flights.flight_poses import FlightPoses, find_poses
 from infrablend.pipeline.flights.insert_trials import TrialRules, Trials
 from infrablend.pipeline.flights.search_map import (
     AreaFigures,
@@ -232,11 +230,12 @@ def _search_map(
     shares = LookShares(trials.inserted, settings.confidence)
     dependence = find_dependence(trials.inserted, settings.confidence)
     # Yaw and lens that the overlap of pictures contradicts are replaced, as in `detect`.
-    aligned = align_poses(where, images, find_poses(images), ())
+    poses = find_poses(images)
+    aligned = align_poses(where, images, poses, ())
     problems += aligned.problems
     found = map_detection(images, aligned.poses.known, shares, dependence, settings.cell_m)
     if found is None:
-        problems.append(_no_map(images))
+        problems.append(_no_map(poses))
     return found
 
 
@@ -248,28 +247,29 @@ def _sectors(settings: DetectabilitySettings, trials: Trials, problems: list[Pro
     """
     if settings.sectors is None:
         return []
-    poses = [pose for image in trials.images() if not isinstance(pose := pose_of(image), str)]
-    if not poses:
-        raise DatasetError(f"{settings.sectors}: no map to take sectors from", [_no_map(trials.images())])
-    sectors, elsewhere = read_sectors(settings.sectors, np.array([(p.latitude_deg, p.longitude_deg) for p in poses]))
+    poses = find_poses(trials.images())
+    if not poses.known:
+        raise DatasetError(f"{settings.sectors}: no map to take sectors from", [_no_map(poses)])
+    places = np.array([(p.latitude_deg, p.longitude_deg) for p in poses.known.values()])
+    sectors, elsewhere = read_sectors(settings.sectors, places)
     problems += elsewhere
     return sectors
 
 
-def _no_map(images: Sequence[ImageRecord]) -> Problem:
+def _no_map(poses: FlightPoses) -> Problem:
     """Return the warning that there is no map, with what the pictures lack."""
-    lacking = sorted({pose for image in images if isinstance(pose := pose_of(image), str)})
+    lacking = sorted({*poses.lacking.values()})
     missing = f"without {'; '.join(lacking)}" if lacking else "too little ground in view for a cell"
     todo = "give a table of them with --metadata, or take the figures without a map"
-    return Problem(
-        f"{len(images)} pictures", "map-left-out", missing, "pictures with a pose, for a map", todo, "warning"
-    )
+    pictures = f"{len(poses.lacking) + len(poses.known)} pictures"
+    return Problem(pictures, "map-left-out", missing, "pictures with a pose, for a map", todo, "warning")
 
 
 def _alarms(trials: Trials, confidence: float) -> int:
     """Return the alarms in pictures with a pose."""
-    posed = [p for p in trials.searched.values() if not isinstance(pose_of(p.image), str)]
-    return sum(int((p.alarms & (p.found.scores >= confidence)).sum()) for p in posed)
+    posed = find_poses([p.image for p in trials.searched.values()]).known
+    its = [p for key, p in trials.searched.items() if key in posed]
+    return sum(int((p.alarms & (p.found.scores >= confidence)).sum()) for p in its)
 
 
 def _map_facts(found: SearchMap, areas: Sequence[AreaFigures], alarms: int) -> MapFacts:

@@ -20,10 +20,11 @@ from infrablend.core.ground_position import (
     ground_of_pixels,
     ground_to_pixels,
     pixels_of_ground,
-    pose_of,
 )
 from infrablend.imaging.camera_path import Moment
+from infrablend.pipeline.flights.flight_poses import find_poses
 from infrablend.pipeline.plans.sequence_motion import SequenceMotion
+from infrablend.pipeline.studies.flight_overlap import flight_order
 
 LONGEST = 60
 """Most pictures that are populated together: an object beyond them is another one."""
@@ -37,9 +38,8 @@ def as_flights(dataset: Dataset) -> Dataset | None:
 
     It is one if every picture has a pose and none a sequence of its own, and most pictures overlap the next one.
     """
-    images = sorted(dataset.images, key=lambda i: (i.split, i.capture.captured or "", i.name))
-    poses = [pose_of(image) for image in images]
-    known = [pose for pose in poses if not isinstance(pose, str)]
+    images = sorted(dataset.images, key=lambda i: (i.split, *flight_order(i)))
+    known = [*find_poses(images).known.values()]
     if len(known) < len(images) or len(images) < 2 or any(i.capture.frame is not None for i in images):
         return None
     overlapping = sum(_overlap(a, b) for a, b in pairwise(known))
@@ -63,7 +63,7 @@ def _overlap(one: Pose, other: Pose) -> bool:
 
 def motion_by_pose(name: str, images: Sequence[ImageRecord]) -> SequenceMotion:
     """Return how the camera moves through pictures that all have a pose, as it is over level ground."""
-    poses = [pose for image in images if not isinstance(pose := pose_of(image), str)]
+    poses = [*find_poses(images).known.values()]
     frame = LocalFrame(poses[0].latitude_deg, poses[0].longitude_deg)
     first = ground_to_pixels(poses[0], frame)
     moments = []

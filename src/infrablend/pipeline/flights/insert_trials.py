@@ -10,27 +10,23 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import clip_boxes
+from infrablend.core.boxes import box_iou, clip_boxes
 from infrablend.core.dataset import ImageRecord, Instance, known_class
 from infrablend.core.ground_position import ground_pixel_m, pose_of
 from infrablend.core.rng import stream
 from infrablend.core.scene import ObjectSpec
-from infrablend.core.temperature import TemperatureScale
 from infrablend.detection.detections import Detections, FloatArray
-from infrablend.detection.matching import box_overlaps
+from infrablend.detection.finder import Finder
 from infrablend.detection.sightings import Sighting, match_scores
 from infrablend.detection.truth import class_key, image_key
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures.images import load_background
 from infrablend.pipeline.compose.memory_frames import Frame, Frames
 from infrablend.thermal.radiometry import ZERO_C_K
-
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 # Half-open ranges of contrast, 8-bit levels, and of the visible share.
 _CONTRAST_GREY = (0.0, 15.0, 30.0, 60.0, 120.0)
@@ -41,13 +37,6 @@ _AIR_C = (-40.0, -10.0, 0.0, 10.0, 20.0, 30.0)
 UNKNOWN_TIME = "unknown"
 # A box that is nearer to the edge of its picture is cut by it: labels end a pixel or two before it.
 _EDGE_PX = 2.0
-
-
-class Finder(Protocol):
-    """A detector that searches a picture in memory; `detection.finder` loads one."""
-
-    def find(self, pixels: Pixels, confidence: float = ..., scale: TemperatureScale | None = ...) -> Detections:
-        """Return the detections in (h, w) grey levels, px of the picture."""
 
 
 @dataclass(frozen=True)
@@ -156,8 +145,7 @@ class Trials:
         found = self.rules.of_class(self.finder.find(frame.pixels, self.rules.least_score, before.image.capture.scale))
         boxes = _boxes([*ours, *others])
         scores, near, _ = match_scores(boxes, _boxes([]), found, self.rules.least_overlap)
-        seen_before = before.found.boxes_xyxy
-        taken = box_overlaps(boxes, seen_before).max(axis=1, initial=0.0) >= self.rules.least_overlap
+        taken = box_iou(boxes, before.found.boxes_xyxy).max(axis=1, initial=0.0) >= self.rules.least_overlap
         for k, instance in enumerate(ours):
             if taken[k]:
                 self.counts["on_a_detection"] += 1

@@ -16,6 +16,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.boxes import polygon_area
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.ground_position import LocalFrame, Pose, footprint, ground_pixel_m, pixels_of_ground
 from infrablend.detection.detections import FloatArray
@@ -26,6 +27,7 @@ from infrablend.formats.maps.map_files import MapFeature
 from infrablend.formats.maps.search_sectors import Sector
 from infrablend.pipeline.flights.corrected_counts import LookShares
 from infrablend.pipeline.flights.insert_trials import GROUND_PIXEL_CM, UNKNOWN_TIME, in_range
+from infrablend.pipeline.studies.flight_overlap import flight_order
 
 ASSUMED_RHO = 0.5
 _MOST_CELLS = 2500
@@ -184,16 +186,11 @@ def map_detection(
         upper,
         dependence,
         without_pose=len(images) - len(posed),
-        searched_m2=sum(_area_m2(outline) for outline in seen),
+        searched_m2=sum(abs(polygon_area(outline - outline[0])) for outline in seen),
         track_m=track_m,
         track_points_m=points,
         sweep_width_m=width_m,
     )
-
-
-def _area_m2(ring_m: FloatArray) -> float:
-    x, y = (ring_m - ring_m[0]).T
-    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
 
 Looks = list[tuple[int, Share]]
@@ -257,7 +254,7 @@ def find_strips(images: Sequence[ImageRecord], places_m: FloatArray) -> list[lis
         images: Pictures, in any order.
         places_m: (n, 2) their places, metres east and north.
     """
-    order = sorted(range(len(images)), key=lambda k: _moment(images[k]))
+    order = sorted(range(len(images)), key=lambda k: flight_order(images[k]))
     steps = np.diff(places_m[order], axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     usual = float(np.median(lengths[lengths > 0])) if (lengths > 0).any() else 0.0
@@ -286,11 +283,6 @@ def _along(strips: Sequence[Sequence[int]], places_m: FloatArray, step_m: float)
         count = max(1, round(float(np.linalg.norm(end - start)) / step))
         points.append(start + (np.arange(count)[:, None] + 0.5) / count * (end - start))
     return np.concatenate(points)
-
-
-def _moment(image: ImageRecord) -> tuple[str, str, float, str]:
-    c = image.capture
-    return c.sequence or "", c.captured or "", float(c.frame or 0), image.name
 
 
 def _sweep(

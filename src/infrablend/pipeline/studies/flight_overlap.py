@@ -60,9 +60,10 @@ def glance_at_overlap(images: Sequence[ImageRecord]) -> list[OverlapValue] | str
     return found if isinstance(found, str) else offered_values(found, chosen)
 
 
-def flight_order(image: ImageRecord) -> tuple[str, int, str]:
+def flight_order(image: ImageRecord) -> tuple[str, str, int, str]:
     """Return what to sort pictures of flights by."""
-    return image.capture.sequence or "", image.capture.frame or 0, image.id
+    capture = image.capture
+    return capture.sequence or "", capture.captured or "", capture.frame or 0, image.id
 
 
 def link_pictures(
