@@ -24,7 +24,7 @@ from infrablend import __version__
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
-from infrablend.core.child_process import describe_exit
+from infrablend.core.operating_system import describe_exit
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_text

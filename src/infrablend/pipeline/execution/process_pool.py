@@ -30,7 +30,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import IO, Any
 
-from infrablend.core.child_process import describe_exit
+from infrablend.core.operating_system import describe_exit
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
 from infrablend.errors import Interrupted, OutputError, Problem, WorkerDiedError
 from infrablend.pipeline.execution.interrupt import STOPPED, Interruption

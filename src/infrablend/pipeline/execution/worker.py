@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
-from infrablend.core.child_process import die_with_parent, resident_bytes
+from infrablend.core.operating_system import die_with_parent, resident_bytes
 from infrablend.core.tasks import Failure, FailureKind, Task, WorkerSpec
 from infrablend.errors import InfraBlendError, RenderError
 
