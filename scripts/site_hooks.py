@@ -1,4 +1,4 @@
-"""What MkDocs does beside its own work: links out of docs/, and the notebook of the quickstart as a page."""
+"""What MkDocs does beside its own work: links out of docs/, the notebook as a page, examples in docstrings."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import re
 import tomllib
 from pathlib import Path
 
+from griffe import Extension, Object
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -16,6 +17,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOK = "tutorials/quickstart.ipynb"
 LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)#\s:]+)(#[^)\s]+)?\)")
+EXAMPLE = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)
 # Warnings of this logger end a strict build.
 log = logging.getLogger("mkdocs.hooks.site")
 
@@ -60,3 +62,12 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return f"{text} (`{path}` in the repository)"
 
     return LINK.sub(rewritten, markdown)
+
+
+class Examples(Extension):
+    """Examples in docstrings as code; Markdown would show `>>>` as quotations."""
+
+    def on_object(self, *, obj: Object, **_: object) -> None:
+        """Fence the examples of a function, class or module."""
+        if obj.docstring:
+            obj.docstring.value = EXAMPLE.sub(r"```pycon\n\g<0>\n```", obj.docstring.value)
