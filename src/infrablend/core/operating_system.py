@@ -11,7 +11,6 @@ import errno
 import logging
 import os
 import platform
-import shutil
 import signal
 import subprocess
 import sys
@@ -38,9 +37,7 @@ READ_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)
 STOP_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name))
 """Signals that ask a command to stop; `ask_to_stop` sends SIGBREAK on Windows and SIGTERM elsewhere."""
 
-IN_BACKGROUND: dict[str, Any] = (
-    {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if sys.platform == "win32" else {"start_new_session": True}
-)
+IN_BACKGROUND: dict[str, Any] = XX
 """Arguments of `subprocess.Popen` for a process that Ctrl-C in this terminal does not reach."""
 
 # Errors of file systems that have no locks, such as NFS without its lock daemon.
@@ -56,8 +53,8 @@ _core_locks = contextlib.ExitStack()
 def hold(path: Path) -> Iterator[None]:
     """Hold a lock, which is a file, until the end of the block; it ends with its process, however that ends.
 
-    The file is removed with the block; a killed process leaves it, and the next one takes it over. Where the file system
-    has no locks, a warning is logged.
+    The file is removed with the block; a killed process leaves it, and the next one takes it over. Where the file
+    system has no locks, a warning is logged.
 
     Raises:
         BlockingIOError: Another process, or another block of this one, holds the lock.

@@ -24,10 +24,10 @@ from infrablend import __version__
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
-from infrablend.core.operating_system import describe_exit
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_text
+from infrablend.core.operating_system import describe_exit
 from infrablend.core.typed_command import reading_words
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
 from infrablend.formats import dataset_folder

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from infrablend.assets.model_files import NO_FILE, too_large
 from infrablend.assets.user_model import GroupFacts, ImportJob, write_geometry
-from infrablend.core.operating_system import CHILD_BYTES, describe_exit
 from infrablend.core.files import replace_atomically
+from infrablend.core.operating_system import CHILD_BYTES, describe_exit
 from infrablend.core.tasks import Failure, Task
 from infrablend.core.wire import PROTOCOL, Message, ModelFileMessage, Wire
 from infrablend.errors import MissingDependencyError, ModelError, Problem, WorkerDiedError
