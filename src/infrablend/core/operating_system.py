@@ -37,8 +37,10 @@ READ_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)
 STOP_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name))
 """Signals that ask a command to stop; `ask_to_stop` sends SIGBREAK on Windows and SIGTERM elsewhere."""
 
-IN_BACKGROUND: dict[str, Any] = XX
+IN_BACKGROUND: dict[str, Any] = {"start_new_session": True}
 """Arguments of `subprocess.Popen` for a process that Ctrl-C in this terminal does not reach."""
+if sys.platform == "win32":
+    IN_BACKGROUND = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
 
 # Errors of file systems that have no locks, such as NFS without its lock daemon.
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
