@@ -237,7 +237,7 @@ def partial_of(out: Path) -> Path:
     inside = root / ".partial"
     if root.is_dir():
         here = real_path(Path())
-        fixed = root.is_mount() or root == here or root in here.parents
+        fixed = os.path.ismount(root) or root == here or root in here.parents
         if fixed or inside.is_dir() or not os.access(root.parent, os.W_OK):
             return inside
     return root.with_name(f".{root.name}.partial")
