@@ -54,7 +54,7 @@ from infrablend.pipeline.execution.worker import (
 
 _SCRATCH = "infrablend-workers-"
 _LOCK = ".lock"
-_MIN_MEMORY_BYTES = 48 * 2**20  # a full-frame float image is 5 MiB; containers often give /dev/shm 64 MiB
+_MIN_MEMORY_BYTES = 48 * 2**20  # a full-frame float image is 5 MiB; containers often give 64 MiB
 
 
 @contextlib.contextmanager
