@@ -17,7 +17,6 @@ import math
 import os
 import pickle
 import queue
-import secrets
 import shutil
 import subprocess
 import sys
@@ -53,6 +52,7 @@ from infrablend.pipeline.execution.worker import (
 )
 
 _SCRATCH = "infrablend-workers-"
+_NEW = "infrablend-new-"
 _LOCK = ".lock"
 _MIN_MEMORY_BYTES = 48 * 2**20  # a full-frame float image is 5 MiB; containers often give 64 MiB
 
@@ -70,12 +70,14 @@ def scratch_folder() -> Iterator[str]:
     folder = None if os.environ.get("TMPDIR") else memory_folder()
     if folder is None or shutil.disk_usage(folder).free < _MIN_MEMORY_BYTES:
         folder = Path(tempfile.gettempdir())
-    scratch = folder / (_SCRATCH + secrets.token_hex(8))
     with contextlib.ExitStack() as stack:
         try:
             _sweep(folder)
-            stack.enter_context(hold(_lock_of(scratch)))  # first: no sweep can find the folder without its lock
-            scratch.mkdir(mode=0o700)
+            # Create under another name, lock, then rename: no sweep can find it without its lock.
+            made = Path(tempfile.mkdtemp(prefix=_NEW, dir=folder))
+            scratch = folder / (_SCRATCH + made.name.removeprefix(_NEW))
+            stack.enter_context(hold(_lock_of(scratch)))
+            made.rename(scratch)
         except OSError as error:
             raise OutputError(
                 f"{folder}: cannot create a temporary folder ({error.strerror or error}); free some space there, or "
