@@ -1,18 +1,21 @@
 """Windows' rules, as far as Linux can keep them, for a Python that has this folder on its path, and for its children.
 
-The package and its locks do without what Windows lacks: modules, functions of `os` and `signal`, arguments of `subprocess`.
-Below the folder that `WINDOWS_RULES` names, files follow Windows' rules for everybody:
+The package does without what Windows lacks: modules, functions of `os` and `signal`, arguments of
+`subprocess`. Below the folder that `WINDOWS_RULES` names, files follow Windows' rules for everybody:
 
 * no links of either kind;
 * no names with `<>:"|?*`, of devices, or with a dot or blank at the end; names that differ in case alone are one;
 * no file that is open or mapped in this process is replaced, renamed or removed, nor a folder with one in it;
 * a rename does not replace a file, and folders cannot be opened;
-* lines of text end with a carriage return and a newline unless the caller says how, and text is not UTF-8 unless he does;
+* lines of text end with a carriage return and a newline unless the caller says how, and text is in cp1252;
 * temporary files have names.
 
-What cannot be shown here: backslashes, drives, `LockFileEx` (filelock falls back to files that say who holds them), console
-signals, and processes whose parent does not wait for them.
+What cannot be shown here: backslashes, drives, console signals, files that other processes have open, and `LockFileEx`,
+in whose place filelock calls `flock`: both end with their process.
 """
+
+# Paths are texts here: functions of `pathlib` would call what is replaced.
+# ruff: noqa: PTH100, PTH112, PTH115, PTH208
 
 from __future__ import annotations
 
@@ -21,25 +24,38 @@ import errno
 import io
 import os
 import re
+import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import types
-from pathlib import Path
 from typing import Any
 
 ROOT = os.path.realpath(os.environ["WINDOWS_RULES"])
-PACKAGES = {"infrablend", "filelock"}
+PACKAGE = "infrablend"
 NO_MODULES = {"fcntl", "resource", "pwd", "grp", "termios", "pty", "tty"}
 ABSENT = {
     "os": {
-        *("fork", "forkpty", "getuid", "geteuid", "getgid", "getpgid", "getpgrp", "killpg", "setsid", "setpgid", "chown"),
-        *("statvfs", "pread", "pwrite", "preadv", "pwritev", "set_blocking", "sysconf", "uname", "mkfifo", "fchmod"),
-        *("sched_getaffinity", "sched_setaffinity", "posix_fadvise", "sendfile", "nice", "getloadavg", "WNOHANG"),
+        *("fork", "forkpty", "getuid", "geteuid", "getgid", "getpgid", "getpgrp", "killpg", "setsid", "setpgid"),
+        *("chown", "statvfs", "pread", "pwrite", "preadv", "pwritev", "set_blocking", "sysconf", "uname"),
+        *(
+            "mkfifo",
+            "fchmod",
+            "sched_getaffinity",
+            "sched_setaffinity",
+            "posix_fadvise",
+            "sendfile",
+            "nice",
+            "getloadavg",
+            "WNOHANG",
+        ),
         *("O_DIRECTORY", "O_NONBLOCK", "O_CLOEXEC", "O_NOFOLLOW", "O_SYNC", "O_TMPFILE"),
     },
-    "signal": {"SIGKILL", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGCHLD", "SIGPIPE", "alarm", "setitimer", "pause"},
+    "signal": {
+        *("SIGKILL", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGCHLD", "SIGPIPE", "alarm", "setitimer", "pause"),
+    },
 }
 DEVICE = re.compile(r"(con|prn|aux|nul|(com|lpt)[0-9])(\..*)?", re.IGNORECASE)
 
@@ -69,7 +85,7 @@ class Reduced(types.ModuleType):
 def import_reduced(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> Any:
     """Import for the package: nothing that Windows does not have."""
     caller = str((globals or {}).get("__name__", "")).partition(".")[0]
-    if level or caller not in PACKAGES:
+    if level or caller != PACKAGE:
         return _import(name, globals, locals, fromlist, level)
     if name in NO_MODULES:
         raise ModuleNotFoundError(f"No module named {name!r} (Windows' rules)", name=name)
@@ -126,9 +142,7 @@ def audit(event: str, arguments: tuple[Any, ...]) -> None:
     try:
         if event in ("os.link", "os.symlink") and is_ruled(arguments[1]):
             raise OSError(errno.EPERM, "no links on Windows", arguments[1])
-        if event == "open" and isinstance(arguments[2], int) and arguments[2] & os.O_CREAT:
-            require_name(arguments[0])
-        elif event == "os.mkdir":
+        if event == "os.mkdir" or (event == "open" and (arguments[2] or 0) & os.O_CREAT):
             require_name(arguments[0])
         elif event == "os.rename":
             require_name(arguments[1])
@@ -144,13 +158,19 @@ _open, _os_open, _rename, _replace = io.open, os.open, os.rename, os.replace
 
 
 def open_text(
-    file: Any, mode: str = "r", buffering: int = -1, encoding: Any = None, errors: Any = None, newline: Any = None, *more: Any, **rest: Any
+    file: Any,
+    mode: str = "r",
+    buffering: int = -1,
+    encoding: str | None = None,
+    errors: str | None = None,
+    newline: str | None = None,
+    *more: Any,
 ) -> Any:
     """Open as Windows does: its newlines and its encoding, where the caller says nothing of them."""
     if "b" not in mode and is_ruled(file):
-        encoding = "cp1252" if encoding is None else encoding
+        encoding = "cp1252" if encoding in (None, "locale") else encoding
         newline = "\r\n" if newline is None and set(mode) & set("wax") else newline
-    return _open(file, mode, buffering, encoding, errors, newline, *more, **rest)
+    return _open(file, mode, buffering, encoding, errors, newline, *more)
 
 
 def open_number(path: Any, flags: int, *arguments: Any, **rest: Any) -> int:
@@ -183,8 +203,6 @@ class Popen(subprocess.Popen):  # type: ignore[type-arg]
         super().__init__(*arguments, **rest)
 
 
-import signal  # noqa: E402
-
 REDUCED = {"os": Reduced(os), "signal": Reduced(signal)}
 builtins.__import__ = import_reduced
 sys.addaudithook(audit)
@@ -192,4 +210,4 @@ builtins.open = io.open = open_text
 os.open, os.rename, os.replace = open_number, rename, replace
 subprocess.Popen = Popen  # type: ignore[misc]
 tempfile.TemporaryFile = tempfile.NamedTemporaryFile  # type: ignore[assignment]
-Path  # noqa: B018 - loaded before the rules
+shutil._use_fd_functions = False  # type: ignore[attr-defined] # it opens folders
