@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import json
 import os
 import subprocess
 import sys
@@ -161,22 +159,14 @@ def test_preview_report_and_exclude(runs) -> None:
     assert windows == linux
 
 
-FORMATS = ("yolo", "coco", "voc", "dota", "native")
-
-
 def converted(system: System) -> dict[str, str]:
-    for to in ("yolo", "coco", "voc"):
-        system.run("convert", "../odd", f"odd-{to}", "--to", to)
-    said = json.loads(system.run("check", "odd-yolo", "--json"))
-    found = {
-        f"{to}/{name}": of
-        for to in ("yolo", "coco", "voc")
-        for name, of in digests(system.folder / f"odd-{to}").items()
-    }
-    system.run("convert", "../odd", "odd-yolo", "--to", "yolo", "--overwrite")
-    again = digests(system.folder / "odd-yolo")
-    assert again.keys() == {n.removeprefix("yolo/") for n in found if n.startswith("yolo/")}
-    return {**found, "said": json.dumps(said)}
+    for to in ("yolo", "coco"):
+        system.run("convert", "../odd", to, "--to", to)
+    found = {f"{to}/{name}": of for to in ("yolo", "coco") for name, of in digests(system.folder / to).items()}
+    found["check"] = system.run("check", "yolo", "--json")
+    system.run("convert", "../odd", "yolo", "--to", "yolo", "--overwrite")
+    assert digests(system.folder / "yolo").keys() == {n[5:] for n in found if n.startswith("yolo/")}
+    return found
 
 
 def test_convert_and_check_names_that_windows_does_not_have(both) -> None:
@@ -196,7 +186,7 @@ def test_two_writers_are_refused(both) -> None:
         process = system.start("convert", "../data", "busy", "--to", "yolo")
         _, errors = process.communicate(timeout=WAIT_S)
         other.stdin.write("\n")
-    assert process.returncode == 3 or process.returncode == 2
+    assert process.returncode == 2
     assert "another process is writing" in errors
 
 
@@ -232,7 +222,7 @@ BREAKS = {
     "from pathlib import Path; f = Path('y').open('wb'); Path('y').unlink()": "is open",
     "import os; os.mkdir('d'); os.open('d', os.O_RDONLY)": "no folder can be opened",
     "from pathlib import Path; Path('t').write_text('ł')": "UnicodeEncodeError",
-    "from pathlib import Path; Path('t').write_text('1\\n'); assert Path('t').read_bytes() == b'1\\n'": "AssertionError",
+    "from pathlib import Path; Path('t').write_text('\\n'); assert Path('t').read_bytes() == b'\\n'": "AssertionError",
 }
 
 
@@ -240,8 +230,6 @@ BREAKS = {
 def test_the_rules_are_kept(both, tmp_path: Path, code: str) -> None:
     system = both["windows"]
     environment = {**system.environment, "WINDOWS_RULES": str(tmp_path)}
-    with contextlib.suppress(OSError):
-        (tmp_path / "log.txt").unlink()
     words = [sys.executable, "-c", f"exec({code!r}, {{'__name__': 'infrablend.some_module'}})"]
     done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 1
