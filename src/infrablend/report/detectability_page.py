@@ -69,7 +69,7 @@ def drawn_text(facts: DetectabilityFacts) -> str:
         return ""
     ordered = sorted(cells, key=lambda c: c["predicted"] or 0.0)
     least, most = (
-        f"{decimals(c['predicted'])} {interval((c['low'], c['high']))} ({c['by']}: {c['value']})"
+        f"{decimals(c['predicted'])} [{interval((c['low'], c['high']))}] with {c['by']} {c['value']}"
         for c in (ordered[0], ordered[-1])
     )
     return f"Over the weather and clothing drawn, the share found is between {least} and {most}."
