@@ -717,6 +717,14 @@ def test_start_weights_of_the_request_count_by_content_wherever_they_lie(data: P
         plan("hit-uav-drone", data, tmp_path / "w", weights=str(tmp_path / "nothing.pt.zip"))
 
 
+def test_a_training_with_a_network_of_its_own_does_not_start_from_given_weights(data: Path, tmp_path: Path) -> None:
+    given = write_weights(tmp_path / "start.pt", network="yolov5n")
+    request = ExperimentRequest("detectability", [data], tmp_path / "w", scale="small", weights=str(given))
+    graph = prepare_experiment(request).graph
+    assert graph.by_id["train:real"].inputs["weights"] == "start.pt"
+    assert graph.by_id["train:real-other"].inputs["weights"] == "auto"
+
+
 def test_unfit_start_weights_are_refused_before_any_work(bench: Bench, data: Path, tmp_path: Path) -> None:
     mine, weights = tmp_path / "mine.yaml", write_weights(tmp_path / "start.pt", "OBB")
     text = (SHIPPED / "hit-uav-drone.yaml").read_text()
