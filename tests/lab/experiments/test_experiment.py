@@ -79,7 +79,7 @@ class Bench:
             "task": request.task,
             "seed": request.seed,
             "classes": names,
-            "settings": json.loads(json.dumps(preset_inputs(request.with_fitting_tiles(dataset).chosen_preset()))),
+            "settings": json.loads(json.dumps(preset_inputs(request.fitted_to(dataset).chosen_preset()))),
             "start_asked": request.weights,
             "prepared": {
                 "images": 8,
