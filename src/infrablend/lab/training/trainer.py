@@ -22,8 +22,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.child_process import die_with_parent, watch_parent
 from infrablend.core.files import load_json, replace_atomically
+from infrablend.core.operating_system import die_with_parent, watch_parent
 from infrablend.core.rng import stream
 from infrablend.detection.scale import (
     CHECKPOINT,
