@@ -11,6 +11,7 @@ from typing import cast
 import numpy as np
 
 from infrablend import __version__
+from infrablend.assets.catalogue import load_model
 from infrablend.core.files import write_json, write_text
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import replacing, workspace
@@ -182,7 +183,8 @@ def _rules(request: DetectabilityRequest, frames: Frames, finder: Finder) -> Tri
         clusters = {image_key(i): name for name, its in groups.items() for i in its}
     ignored = frozenset(c.name for c in frames.categories if c.ignore)
     least = min(request.settings.confidences)
-    return TrialRules(category, numbers, request.settings.least_overlap, least, clusters, ignored)
+    stands = all(load_model(kind.model).stands for kind in frames.recipe.objects)
+    return TrialRules(category, numbers, request.settings.least_overlap, least, clusters, ignored, stands)
 
 
 def _circles(origin: TrainingOrigin, request: DetectabilityRequest, trials: Trials) -> list[Problem]:
