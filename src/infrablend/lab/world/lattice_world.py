@@ -75,7 +75,7 @@ def draw_bodies(
 
 
 def _light(plan: WorldPlan, body: Body) -> tuple[Field, Field]:
-    """Return the apparent temperature (T,) of the triangles of a body, and the amplitude (T,) of the pattern on them."""
+    """Return the apparent temperature (T,) of a body's triangles, and the amplitude (T,) of the pattern on them."""
     of = body.surface
     a, b, c = np.moveaxis(body.vertices_m[of.triangles], 1, 0)
     normal = np.cross(b - a, c - a)
@@ -104,4 +104,4 @@ def _pattern(plan: WorldPlan, grid: SampleGrid, samples: NDArray[np.intp], depth
     # Heights shift the pattern, so that it is not smeared down a wall.
     plane = np.zeros((2, *grid.shape_hw), np.float32)
     plane.reshape(2, -1)[:, samples] = (at[:, :2] + at[:, 2:]).T
-    return np.asarray(_PATTERN * Noise(plan.seed)(*plane, _PATTERN_M).ravel()[samples], np.float32)
+    return np.asarray(_PATTERN * Noise(plan.seed)(plane[0], plane[1], _PATTERN_M).ravel()[samples], np.float32)
