@@ -361,6 +361,7 @@ def test_the_citation_names_the_paper() -> None:
     paper = citation["preferred-citation"]
     assert paper["title"] == "Unlocking Thermal Aerial Imaging: Synthetic Enhancement of UAV Datasets"
     assert [a["family-names"] for a in paper["authors"]] == ["Barisic Kulas", "Jurasovic", "Bogdan"]
+    assert paper["year"] == 2025 and paper["identifiers"][0]["value"].endswith("arXiv.2507.06797")
     from infrablend import __version__
 
     assert citation["version"] == __version__
