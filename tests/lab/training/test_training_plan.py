@@ -7,10 +7,13 @@ import pickle
 import zipfile
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from infrablend import api
-from infrablend.core.dataset import Category, Dataset, ImageRecord
+from infrablend.core.capture import Capture
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.detection import ultralytics_environment
 from infrablend.errors import DatasetError, ModelError, OtherSettingsError, OutputError
 from infrablend.lab.training import start_weights
@@ -118,6 +121,38 @@ def test_data_without_any_object_are_refused_by_every_preset(preset, tmp_path):
 def test_tiles_are_no_larger_than_most_pictures_unless_a_size_is_stated(sizes, settings, side):
     images = [ImageRecord(str(n), Path(f"{n}.png"), "train", size, ()) for n, size in enumerate(sizes)]
     dataset = Dataset(Path(), "coco", (Category(1, "drone"),), tuple(images))
-    preset = TrainRequest(settings=settings).with_fitting_tiles(dataset).chosen_preset()
+    preset = TrainRequest(settings=settings).fitted_to(dataset).chosen_preset()
     assert (preset.tile, preset.image_size) == (side, settings.get("image_size", side))
     assert preset.arguments["mosaic"] == settings.get("mosaic", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("pitches", "settings", "scale"),
+    [
+        ([90.0, 45.0, 10.0], {}, 0.5),
+        ([90.0, None, 0.0], {}, 0.2),
+        ([-5.0, 0.0, None], {}, 0.2),
+        ([None] * 3, {}, 0.2),
+        ([90.0] * 3, {"scale": 0.3}, 0.3),
+        ([90.0] * 3, {"tile": 0}, 0.2),  # whole pictures keep the preset's
+    ],
+)
+def test_tiles_from_above_are_scaled_more_unless_a_scale_is_stated(pitches, settings, scale):
+    images = [ImageRecord(str(n), Path(f"{n}.png"), "train", (640, 512), (), capture=Capture(pitch_deg=pitch))
+              for n, pitch in enumerate(pitches)]  # fmt: skip
+    dataset = Dataset(Path(), "coco", (Category(1, "Car"),), tuple(images))
+    fitted = TrainRequest(settings=settings).fitted_to(dataset)
+    assert fitted.chosen_preset().arguments["scale"] == scale
+    assert fitted.fitted_to(dataset) == fitted
+
+
+@pytest.mark.parametrize(("empty", "warned"), [(10, False), (12, True), (0, False)])
+def test_many_pictures_without_an_object_are_named(empty, warned, tmp_path, caplog):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((512, 640), np.uint8))
+    car = Instance("Car", np.array([1.0, 1.0, 9.0, 9.0]))
+    images = [ImageRecord(str(n), tmp_path / "a.png", "train", (640, 512), () if n < empty else (car,))
+              for n in range(100)]  # fmt: skip
+    dataset = Dataset(Path(), "coco", (Category(1, "Car"),), tuple(images))
+    select_training_data(dataset, TrainRequest())
+    assert ("12 of 100 pictures without an object" in caplog.text) == warned
+    assert ("convert --with-class Car" in caplog.text) == warned

@@ -155,10 +155,12 @@ def test_a_detector_of_inserted_objects_gives_an_upper_bound(
     measure: Callable[..., Any], flight: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "detector").mkdir()
-    record = {"data": str(flight), "prepared": {"labels": 50, "losses": {"inserted_dropped": 50}}}
+    # Losses of the label format are counted over both splits.
+    record = {"data": str(flight), "prepared": {"labels": 50, "labels_val": 12, "losses": {"inserted_dropped": 60}}}
     (tmp_path / "detector" / "train.json").write_text(json.dumps(record))
     facts = measure(Differences()).facts
     assert facts["kind"] == "upper bound"
+    assert facts["trained_on"] == "2 labels of real and 60 of inserted objects"
     assert "at most" in facts["sentence"]
     assert {p["code"] for p in facts["problems"]} >= {"trained-on", "trained-on-inserts"}
 
