@@ -57,8 +57,8 @@ Scene = tuple[NDArray[np.float16], NDArray[np.uint8]]
 
 def render(folder: Path, count: int) -> None:
     """Render scenes to `folder`/scenes, unless they are there; scene k is the same whatever `count` is."""
-    from infrablend.lab.world.blender_world import WorldRenderer
     from infrablend.lab.world.frame_files import sample_world
+    from infrablend.lab.world.world_renderer import WorldRenderer
 
     out = folder / "scenes"
     out.mkdir(parents=True, exist_ok=True)

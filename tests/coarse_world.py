@@ -14,14 +14,14 @@ def coarse_worlds() -> Iterator[None]:
     """Render all virtual worlds coarsely, in worker processes and in this one."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("infrablend.lab.world.world_dataset.WORKER", "tests.coarse_world:make_coarse_worker")
-        patch.setattr("infrablend.lab.world.blender_world.OVERSAMPLE", 1)
-        patch.setattr("infrablend.lab.world.blender_world.SAMPLES", 1)
+        patch.setattr("infrablend.lab.world.world_renderer.OVERSAMPLE", 1)
+        patch.setattr("infrablend.lab.world.world_renderer.SAMPLES", 1)
         yield
 
 
 def make_coarse_worker(settings: Mapping[str, Any]) -> Any:
     """Return a worker for virtual worlds, in a process of its own."""
-    from infrablend.lab.world import blender_world
+    from infrablend.lab.world import world_renderer
 
-    blender_world.OVERSAMPLE = blender_world.SAMPLES = 1
-    return blender_world.make_world_worker(settings)
+    world_renderer.OVERSAMPLE = world_renderer.SAMPLES = 1
+    return world_renderer.make_world_worker(settings)

@@ -38,7 +38,7 @@ ALLOWED = {
     "detection/predict.py": "pictures of a dataset, checked by its reader, and weights that the user names",
     "lab/training/trainer.py": "checkpoints, which Ultralytics opens as well",
     "lab/realism/nets.py": "weights that torch has downloaded",
-    "lab/world/blender_world.py": "no file: it opens a scene in Blender",
+    "lab/world/world_renderer.py": "no file: it opens a scene in Blender",
     "lab/world/frame_files.py": "bytes in memory",
 }
 """Modules that open files without `core.files.open_regular`, with what they open."""

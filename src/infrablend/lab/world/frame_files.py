@@ -366,7 +366,7 @@ _LASER_EVERY = 2
 
 
 class PlanRenderer(Protocol):
-    """Renderer of a plan; Blender's is `infrablend.lab.world.blender_world.WorldRenderer`."""
+    """Renderer of a plan, such as `infrablend.lab.world.world_renderer.WorldRenderer`."""
 
     def render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], list[Label]]:
         """Return the (h, w) temperatures of a frame in kelvin, and a label for every thing that has a class."""

@@ -127,7 +127,7 @@ def _write(out: Path, request: WorldRequest, images: Sequence[ImageRecord]) -> N
         hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
 
 
-WORKER = "infrablend.lab.world.blender_world:make_world_worker"
+WORKER = "infrablend.lab.world.world_renderer:make_world_worker"
 
 
 def make_world(

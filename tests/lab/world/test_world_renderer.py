@@ -33,7 +33,7 @@ ENGINES = [pytest.param("blender", marks=pytest.mark.blender), "lattice"]
 
 
 def in_this_process(request: WorldRequest) -> FrameSource:
-    from infrablend.lab.world.blender_world import WorldWorker
+    from infrablend.lab.world.world_renderer import WorldWorker
 
     def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
         worker = WorldWorker(request.seed, folder, request.engine)
@@ -64,7 +64,7 @@ def someone(x: float, y: float) -> Person:
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_pixels_and_boxes_agree_and_walls_hide(bare, engine):
-    from infrablend.lab.world.blender_world import WorldRenderer
+    from infrablend.lab.world.world_renderer import WorldRenderer
 
     with closing(WorldRenderer(engine)) as renderer:
         empty, labels = renderer.render(bare)
@@ -89,7 +89,7 @@ def test_pixels_and_boxes_agree_and_walls_hide(bare, engine):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_pass_of_surfaces_shows_what_stands_where(bare, engine):
-    from infrablend.lab.world.blender_world import WorldRenderer
+    from infrablend.lab.world.world_renderer import WorldRenderer
 
     tree = Tree("crown", 0, -6.0, 4.0, 0.0, 7.0, 3.0, 280.0, 0.0)
     lane = Road(0.0, -5.0, 0.0, 0.0, 3.0, 0.0, 2, "asphalt", False)
@@ -150,7 +150,7 @@ def test_dataset_reads_back_and_repeats(tmp_path, engine):
 @pytest.mark.blender
 def test_both_engines_show_the_same_scenes(tmp_path):
     """Blender's rays fall anywhere in a pixel, the lattice's in its middle, and pass no light on: edges differ."""
-    from infrablend.lab.world.blender_world import WorldRenderer
+    from infrablend.lab.world.world_renderer import WorldRenderer
 
     plan = sample_world(stream(1, "engines"), 60, 60, "day", "parking")
     with closing(WorldRenderer()) as first, closing(WorldRenderer("lattice")) as second:
@@ -169,7 +169,7 @@ def test_both_engines_show_the_same_scenes(tmp_path):
 
 @pytest.mark.blender
 def test_a_flight_renders_its_scene_once_and_tracks_what_stands_in_it(tmp_path, monkeypatch):
-    from infrablend.lab.world.blender_world import WorldRenderer
+    from infrablend.lab.world.world_renderer import WorldRenderer
 
     asked: list[str] = []
     render_map = WorldRenderer.render
