@@ -645,7 +645,7 @@ def test_the_stand_in_for_torchvision_can_be_asked_for(ultralytics, monkeypatch)
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "torchvision", None)  # an import of it fails
     monkeypatch.setitem(sys.modules, "torchvision.ops", None)
-    ultralytics_environment._replace_broken_torchvision()
+    ultralytics_environment.replace_broken_torchvision()
     assert sys.modules["torchvision"].ops.nms
     assert nets.missing("torchvision") is None
     assert "cannot be imported" in nets.no_inception(1000)
