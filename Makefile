@@ -27,7 +27,7 @@ coverage = --cov=infrablend --cov-report= --cov-fail-under=$(COVERAGE_FLOOR)
 all = $(filter-out 0,$(ALL))
 tools = $(and $(all),$(filter-out 0,$(TOOLS)))
 
-.PHONY: help setup train studio ray s3 tools demo test check bench lock reference clean
+.PHONY: help setup train studio ray s3 tools demo test check bench lock reference docs clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
@@ -50,6 +50,7 @@ s3: setup ## Install s3fs into .venv, and an S3 server for tests: infrablend gen
 tools: train studio ## Also install what only tests need: libraries that load our datasets, a driver for Chromium
 	@scripts/tools_env.sh
 	@scripts/extra_env.sh browser
+	@scripts/extra_env.sh docs
 	@scripts/extra_env.sh ray || echo "Ray is not there: its tests will be skipped" >&2
 	@scripts/extra_env.sh s3 || echo "s3fs is not there: the tests of object storage will be skipped" >&2
 
@@ -88,6 +89,11 @@ lock: setup ## Regenerate requirements/*.txt (UPGRADE=1: newest allowed versions
 
 reference: setup ## Regenerate docs/reference/recipe.md and cli.md from the code
 	@.venv/bin/python scripts/write_reference.py
+
+docs: setup ## Build the documentation as a site, build/site; a broken link or a page outside the navigation is an error
+	@scripts/extra_env.sh docs
+	@NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --quiet
+	@printf '%s\n' build/site/index.html
 
 clean: ## Remove the files that make wrote, except the environments
 	rm -rf build dist .coverage .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

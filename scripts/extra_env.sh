@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Adds an extra to .venv: `studio` (NiceGUI), `ray` or `s3`. With `browser`, what the tests of the studio need: Playwright, and
+# Adds an extra to .venv: `studio` (NiceGUI), `ray`, `s3` or `docs` (MkDocs). With `browser`, what the tests of the studio need: Playwright, and
 # Debian's Chromium if packages can be installed here; the tests are skipped without it.
 # A second run does nothing until a requirement file changes.
 set -euo pipefail
@@ -13,7 +13,8 @@ case "$what" in
   browser) module=playwright title="Playwright for tests (about 50 MB to download)" ;;
   ray) module=ray title="Ray (about 75 MB to download)" ;;
   s3) module=s3fs title="s3fs, and an S3 server for tests (about 30 MB to download)" ;;
-  *) stop "unknown argument; expected studio, browser, ray or s3" ;;
+  docs) module=mkdocstrings title="MkDocs, its theme and mkdocstrings (about 15 MB to download)" ;;
+  *) stop "unknown argument; expected studio, browser, ray, s3 or docs" ;;
 esac
 
 mkdir -p build

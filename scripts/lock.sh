@@ -19,6 +19,7 @@ compile=(../.venv/bin/uv pip compile --quiet --generate-hashes --no-header --no-
 "${compile[@]}" --universal --constraints project.txt --constraints studio.txt browser.in --output-file browser.txt
 "${compile[@]}" --universal --constraints project.txt --constraints studio.txt ray.in --output-file ray.txt
 "${compile[@]}" --universal --constraints project.txt --constraints studio.txt --constraints ray.txt s3.in --output-file s3.txt
+"${compile[@]}" --universal --constraints project.txt --constraints studio.txt --constraints ray.txt --constraints s3.txt docs.in --output-file docs.txt
 
 # Requirements of torch and torchvision that another file pins or that it does not need on this project's paths.
 unneeded=(numpy pillow triton sympy mpmath networkx jinja2 markupsafe fsspec filelock setuptools typing-extensions)

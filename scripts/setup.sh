@@ -93,8 +93,8 @@ free_mb="$(df -Pm . | awk 'NR == 2 { print $4 }')"
 # Blender's scripts again, which doubles the time it takes to start.
 .venv/bin/uv --quiet pip sync --python .venv/bin/python --require-hashes --compile-bytecode \
   requirements/uv.txt requirements/project.txt || stop "$registry"
-# The sync removes what `make train`, `make studio` and `make ray` added.
-rm -f .venv/infrablend-{train,studio,browser,ray}.stamp
+# The sync removes what `make train` and scripts/extra_env.sh added.
+rm -f .venv/infrablend-{train,studio,browser,ray,s3,docs}.stamp
 
 # The build back end is among the locked packages, so nothing is fetched unlocked for building.
 .venv/bin/uv --quiet pip install --python .venv/bin/python --no-deps --no-build-isolation --offline --editable . ||

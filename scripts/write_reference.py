@@ -23,6 +23,43 @@ SECTIONS = (
     "data", "objects", "placement", "occlusion", "camera", "environment", "appearance", "matching", "overlay", "sensor",
     "render", "labels", "output", "frames",
 )  # fmt: skip
+# Index of the page about recipes: questions, and the fields that answer them.
+QUESTIONS = (
+    ("Which object is inserted, and what is its class called?", ("objects.N.model", "objects.N.category")),
+    ("How many objects are in a frame?", ("objects.N.count", "empty_share", "configurations")),
+    (
+        "How large are they in the picture?",
+        ("objects.N.size_px", "objects.N.range_m", "objects.N.scale", "placement.size_px"),
+    ),
+    ("How far away and how high is the camera?", ("camera.distance_m", "camera.altitude", "camera.calibrate")),
+    ("From which angle are they seen?", ("camera.pitch", "camera.roll_deg", "objects.N.yaw_deg")),
+    ("Which lens does the camera have?", ("camera.model", "camera.focal_length_mm", "camera.field_of_view")),
+    ("Where in the picture do they stand?", ("placement.mode", "placement.where", "placement.ground")),
+    ("Where may they not stand?", ("placement.clear_of_labels", "placement.clear_of_ignored", "placement.where.masks")),
+    ("What if an object finds no place?", ("placement.attempts", "placement.on_miss")),
+    ("How do I place an object by hand?", ("frames.ID.objects",)),
+    ("Do they come in groups or rows?", ("objects.N.group", "objects.N.align")),
+    ("Do they move through a sequence?", ("objects.N.motion", "sensor.motion_px")),
+    ("Are they partly hidden?", ("occlusion.share", "occlusion.visible", "placement.min_visibility")),
+    ("Which poses and kinds of a model are used?", ("objects.N.options",)),
+    ("How warm are they?", ("objects.N.delta_t_k", "objects.N.parts", "environment.air_temperature_c")),
+    ("Is it day or night, clear or overcast?", ("environment.time_of_day", "environment.clear_share")),
+    (
+        "Are they black or white, bright or faint?",
+        ("matching.polarity", "matching.low_percentile", "matching.local_share"),
+    ),
+    ("How faint may an object be?", ("placement.min_contrast",)),
+    ("Which temperatures do 16-bit pictures hold?", ("data.unit", "matching.mode")),
+    ("How are blur and noise matched to the camera?", ("sensor.profile", "sensor.optics", "sensor.noise")),
+    ("How do I make a detector ready for other cameras?", ("sensor.randomise",)),
+    ("Are the original labels kept, renamed, or left out?", ("labels.mode", "labels.rename", "labels.keep_categories")),
+    ("How tight are the boxes?", ("labels.fit", "labels.loosen", "labels.occluded_box")),
+    ("How are oriented boxes drawn?", ("labels.obb", "labels.loosen_obb")),
+    ("Which formats are written?", ("output.formats", "output.layout")),
+    ("Which file type do the pictures have, and how many bits?", ("output.image", "output.agc")),
+    ("Are unchanged backgrounds in the dataset, too?", ("output.originals", "empty_share")),
+    ("How much time does a frame take?", ("render.quality", "render.samples")),
+)
 
 
 def recipe_page() -> str:
@@ -46,6 +83,12 @@ def recipe_page() -> str:
         "Shipped recipes (`infrablend recipes list`, `infrablend recipes show NAME`):",
         "",
         *(f"* `{name}`: {loading.load_recipe(name).description}" for name in loading.list_recipes()),
+        "",
+        "## By question",
+        "",
+        "| question | fields |",
+        "|---|---|",
+        *(f"| {question} | {', '.join(f'[`{n}`](#{n})' for n in names)} |" for question, names in QUESTIONS),
         "",
         "## Modes",
         "",
@@ -79,7 +122,16 @@ def recipe_page() -> str:
     ]
     for section in sections:
         lines += _section(section)
-    return "\n".join(lines).rstrip() + "\n"
+    return _with_anchors("\n".join(lines).rstrip() + "\n")
+
+
+def _with_anchors(page: str) -> str:
+    """Return the page with an anchor at the first row of each field that the index names; all of them must exist."""
+    for name in sorted({name for _, names in QUESTIONS for name in names}):
+        row = f"\n| `{name}` |"
+        assert row in page, f"QUESTIONS: {name} is no field of a recipe"
+        page = page.replace(row, f'\n| <a id="{name}"></a>`{name}` |', 1)
+    return page
 
 
 def _section(section: str) -> list[str]:
@@ -261,7 +313,7 @@ def formats_page() -> str:
         "# Formats",
         "",
         "Written from `src/infrablend/core/format_table.py` by `make reference`: change the code, not this page. Every",
-        "format has a page of its own in [docs/formats](../formats/).",
+        "format has a page of its own, which the tables link.",
         "",
         "## Read",
         "",

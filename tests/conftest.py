@@ -91,6 +91,13 @@ def nicegui() -> None:
 
 
 @pytest.fixture(scope="session")
+def mkdocs() -> None:
+    """Skip the test where MkDocs and what our pages need are not installed; fail it where they should be."""
+    if any(find_spec(name) is None for name in ("mkdocs", "material", "mkdocstrings_handlers")):
+        _skip_or_fail(f"{NEEDS} MkDocs: run `make docs`; the links of the documentation are not checked without it")
+
+
+@pytest.fixture(scope="session")
 def chromium(nicegui: None) -> str:
     """Return the path of Chromium; skip the test without it or without Playwright, which drives it."""
     if find_spec("playwright") is None:

@@ -21,7 +21,9 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+ROOT_PAGES = sorted(ROOT.glob("*.md"))
+"""Pages beside those of the site, whose links and anchors its strict build checks (test_site.py)."""
+PAGES = sorted([*ROOT_PAGES, *(ROOT / "docs").rglob("*.md")])
 SOURCES = sorted((ROOT / "src" / "infrablend").rglob("*.py"))
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 NOTEBOOK = ROOT / "docs" / "tutorials" / "quickstart.ipynb"
@@ -36,7 +38,7 @@ def blocks(path: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", path.read_text("utf-8"), re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=page_id)
+@pytest.mark.parametrize("page", ROOT_PAGES, ids=page_id)
 def test_links_inside_the_repository_lead_somewhere(page: Path) -> None:
     links = re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text("utf-8"))
     broken = [link for link in links if "://" not in link and not (page.parent / link).exists()]
@@ -50,27 +52,11 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", h).strip().replace(" ", "-") for h in plain}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=page_id)
+@pytest.mark.parametrize("page", ROOT_PAGES, ids=page_id)
 def test_links_to_headings_lead_to_one(page: Path) -> None:
     links = re.findall(r"\]\(([^)#\s]*)#([^)\s]+)\)", page.read_text("utf-8"))
     targets = [(page.parent / link if link else page, anchor) for link, anchor in links if "://" not in link]
     assert [a for target, a in targets if target.suffix == ".md" and a not in anchors(target)] == []
-
-
-def test_every_page_is_reachable_from_the_index() -> None:
-    seen: set[Path] = set()
-    queue = [ROOT / "README.md"]
-    while queue:
-        page = queue.pop()
-        if page in seen or page.suffix != ".md" or not page.exists():
-            continue
-        seen.add(page)
-        for link in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text("utf-8")):
-            if "://" not in link:
-                target = (page.parent / link).resolve()
-                # A link to a folder covers the files in it.
-                queue += sorted(target.glob("*.md")) if target.is_dir() else [target]
-    assert [page_id(p) for p in PAGES if p not in seen and p.parent != ROOT] == []
 
 
 def test_pages_that_code_and_commands_name_exist() -> None:
@@ -319,19 +305,35 @@ def test_fields_that_the_docs_name_exist() -> None:
             )
 
 
-def test_the_python_page_names_what_the_api_offers() -> None:
-    from infrablend import api
+def test_the_python_pages_name_what_the_package_offers() -> None:
+    import infrablend
+    from infrablend import api, errors
 
-    text = (ROOT / "docs" / "reference" / "python_api.md").read_text("utf-8")
-    table = [line for line in text.splitlines() if line.startswith("| `")]
-    named = set(re.findall(r"`(\w+)\(", "\n".join(table)))
-    offered = {name for name in api.__all__ if name[0].islower()}
-    assert named == offered
+    pages = sorted((ROOT / "docs" / "reference" / "python").glob("*.md"))
+    found = [n for page in pages for n in re.findall(r"^::: infrablend\.([\w.]+)$", page.read_text("utf-8"), re.M)]
+    named = [n.rpartition(".")[2] for n in found]
+    assert len(set(named)) == len(named)
+    own_errors = {n for n, kind in vars(errors).items() if isinstance(kind, type) and issubclass(kind, Exception)}
+    assert set(named) == {*api.__all__, *infrablend.__all__, *own_errors, "InsertDataset"} - {"__version__"}
     modules = [import_module(f"{api.__name__}.{m.name}") for m in pkgutil.iter_modules(api.__path__)]
     functions = {n for m in modules for n, f in vars(m).items() if inspect.isfunction(f) and f.__module__ == m.__name__}
-    assert {n for n in functions if not n.startswith("_")} <= offered
-    for block in blocks(ROOT / "docs" / "reference" / "python_api.md", "python"):
-        compile(block, "python_api.md", "exec")
+    assert {n for n in functions if not n.startswith("_")} <= set(api.__all__)
+    for block in blocks(ROOT / "docs" / "reference" / "python" / "index.md", "python"):
+        compile(block, "index.md", "exec")
+
+
+def test_only_the_page_on_installation_installs_the_package() -> None:
+    """Until it is in an index, every installation is from a clone, which one page describes."""
+    command = re.compile(r"\b(?:pip|pipx|uv|conda) (?:pip )?(?:install|add|download) [^`&|;$]*(?<![\w/.])infrablend\b")
+    found = {
+        (page_id(page), line)
+        for page in PAGES
+        if page.name != "CHANGELOG.md"
+        for line in page.read_text("utf-8").splitlines()
+        if command.search(line)
+    }
+    # From wheels that were built in a clone.
+    assert found == {("docs/how_to/install.md", "pip install --no-index -f wheels infrablend")}
 
 
 def test_the_reference_pages_are_up_to_date() -> None:
