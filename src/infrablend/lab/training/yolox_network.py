@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import logging
 import warnings
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import write_bytes
 from infrablend.detection.ultralytics_environment import replace_broken_torchvision
 from infrablend.errors import MissingDependencyError, ModelError
 
-# Depth and width of the networks that the package does not name itself; its `yolox_nano` has depthwise convolutions,
-# which are slow on processors.
-_SHAPES = {"yolox_n": (0.33, 0.25)}
-NETWORKS = ("yolox_n", "yolox_nano", "yolox_tiny", "yolox_s", "yolox_m", "yolox_l", "yolox_x")
-_PRIOR = 0.01  # score of an untrained network, as in the package
-
-log = logging.getLogger(__name__)
+# Depth and width of a network of the size of YOLOv8n, which the package does not name: its `yolox_nano` has depthwise
+# convolutions, which are slow on processors.
+_SMALLEST = {"yolox_n": (0.33, 0.25)}
+NETWORKS = (*_SMALLEST, "yolox_nano", "yolox_tiny", "yolox_s", "yolox_m", "yolox_l", "yolox_x")
 
 
 def missing_packages() -> list[str]:
     """Return which of the packages for training and export are not installed."""
-    names = {"pixeltable-yolox": "yolox", "torch": "torch", "loguru": "loguru", "onnx": "onnx",
-             "onnxruntime": "onnxruntime"}  # fmt: skip
-    return [package for package, module in names.items() if find_spec(module) is None]
+    packages = {"pixeltable-yolox": "yolox", "torch": "torch", "onnx": "onnx", "onnxruntime": "onnxruntime"}
+    return [package for package, module in packages.items() if find_spec(module) is None]
 
 
 def require_yolox() -> None:
@@ -46,7 +40,6 @@ def make_network(name: str, classes: int) -> Any:
     """
     replace_broken_torchvision()
     import torch
-    from torch import nn
     from yolox.config import YoloxConfig
     from yolox.models import YoloxHead
 
@@ -61,7 +54,7 @@ def make_network(name: str, classes: int) -> Any:
 
     config = YoloxConfig.get_named_config(name) or YoloxConfig(name)
     config.num_classes = classes
-    config.depth, config.width = _SHAPES.get(name, (config.depth, config.width))
+    config.depth, config.width = _SMALLEST.get(name, (config.depth, config.width))
     network = config.get_model()
     network.head.__class__ = Head
     return network
