@@ -12,6 +12,7 @@ from infrablend.core.machine import has_matrix_units, usable_cores
 from infrablend.detection.detections import Task
 
 PresetName = Literal["paper", "medium", "small", "smoke"]
+Backend = Literal["ultralytics", "yolox"]
 SUFFIX: Mapping[Task, str] = {"detect": "", "obb": "-obb", "segment": "-seg"}
 
 
@@ -22,7 +23,7 @@ class Preset:
     Attributes:
         name: Name for `--preset`.
         summary: Description in one line.
-        model: Ultralytics' name of the network, without the suffix of the task.
+        model: The library's name of the network, without the suffix of the task.
         image_size: Side of the network's square input, px.
         batch: Images per step.
         epochs: Maximum number of passes over the data; 0 if `passes` applies.

@@ -1,4 +1,4 @@
-"""Pictures that a training of our own shows: read, put together to mosaics, moved, scaled, mirrored, with other gains."""
+"""Pictures that a training of our own shows: as mosaics, moved, scaled, mirrored, with other gains."""
 
 from __future__ import annotations
 

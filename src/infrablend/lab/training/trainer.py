@@ -13,30 +13,31 @@ import contextlib
 import functools
 import json
 import os
-import random
-import shutil
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.child_process import die_with_parent, watch_parent
 from infrablend.core.files import load_json, replace_atomically
-from infrablend.core.rng import stream
-from infrablend.detection.scale import (
-    CHECKPOINT,
-    DAMAGED,
-    LOG,
-    MARK,
-    NEW_CHECKPOINT,
-    RUN,
-    ULTRALYTICS,
-    WEIGHTS,
-)
+from infrablend.detection.scale import CHECKPOINT, MARK, NEW_CHECKPOINT, RUN, ULTRALYTICS, WEIGHTS
 from infrablend.detection.ultralytics_environment import configure_ultralytics, has_fast_bfloat16
 from infrablend.lab.training.presets import cpu_threads
+from infrablend.lab.training.training_job import (
+    REACHED,
+    IncompleteDataError,
+    Job,
+    Reached,
+    Say,
+    ShuffledPasses,
+    last_checkpoint,
+    read_checkpoint,
+    require_all,
+    reseed,
+)
+
 
 def trainer_with_passes(base: Any, job: Job, begun: int) -> Any:
     """Return a trainer class that takes its training data in `ShuffledPasses` from epoch `begun` on."""

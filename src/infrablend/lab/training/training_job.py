@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,9 @@ from typing import Any
 from infrablend.core.rng import stream
 from infrablend.detection.scale import CHECKPOINT, DAMAGED, LOG, RUN
 from infrablend.lab.training.presets import Backend
+
+Say = Callable[..., None]
+"""Reports an event, with its facts as named arguments."""
 
 REACHED = "infrablend_reached"
 """Entry of a checkpoint with the progress, as the fields of `Reached`."""
@@ -36,6 +39,7 @@ class Job:
         agc: Automatic gain control that turned 16-bit pictures into the images, as JSON values; None for 8-bit ones.
         backend: Library that trains.
         classes: Names of the classes.
+        start: File of start weights of YOLOX; empty for none.
     """
 
     data: str
@@ -59,6 +63,7 @@ class Job:
     agc: Mapping[str, object] | None = None
     backend: Backend = "ultralytics"
     classes: Sequence[str] = ()
+    start: str = ""
 
 
 @dataclass(frozen=True)
@@ -110,9 +115,7 @@ class ShuffledPasses:
             yield from order[max(first - start, 0) : first + self.shown - start]
 
 
-def require_all(
-    job: Job, shown: int, train: tuple[int, int], val: tuple[int, int] = (0, 0)
-) -> dict[str, int]:
+def require_all(job: Job, shown: int, train: tuple[int, int], val: tuple[int, int] = (0, 0)) -> dict[str, int]:
     """Return what a trainer has loaded, for the record; refuse other images and labels than those that were prepared.
 
     Args:
@@ -168,5 +171,6 @@ def last_checkpoint(checkpoint: Path, torch: Any, say: Any) -> Reached:
 
 
 def read_checkpoint(checkpoint: Path, torch: Any) -> Reached:
+    """Return the progress in a checkpoint."""
     content = torch.load(checkpoint, map_location="cpu", weights_only=False)
     return Reached(**content[REACHED])

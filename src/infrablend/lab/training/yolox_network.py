@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from importlib.util import find_spec
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 from infrablend.detection.ultralytics_environment import replace_broken_torchvision
-from infrablend.errors import MissingDependencyError, ModelError
-
-# Depth and width of a network of the size of YOLOv8n, which the package does not name: its `yolox_nano` has depthwise
-# convolutions, which are slow on processors.
-_SMALLEST = {"yolox_n": (0.33, 0.25)}
-NETWORKS = (*_SMALLEST, "yolox_nano", "yolox_tiny", "yolox_s", "yolox_m", "yolox_l", "yolox_x")
-
+from infrablend.lab.training.yolox_settings import SHAPES
+from infrablend.errors import MissingDependencyError, ModelError, RenderError
 
 def missing_packages() -> list[str]:
     """Return which of the packages for training and export are not installed."""
@@ -54,7 +47,59 @@ def make_network(name: str, classes: int) -> Any:
 
     config = YoloxConfig.get_named_config(name) or YoloxConfig(name)
     config.num_classes = classes
-    config.depth, config.width = _SMALLEST.get(name, (config.depth, config.width))
+    config.depth, config.width = SHAPES.get(name, (config.depth, config.width))
     network = config.get_model()
     network.head.__class__ = Head
     return network
+
+
+def load_states(network: Any, path: Path) -> list[str]:
+    """Load weights of this or another training of the same network, and return the layers that stay as they were.
+
+    These have another shape, like the last layers for other classes.
+
+    Raises:
+        ModelError: The file has no weights of the network.
+    """
+    import torch
+
+    try:
+        found = torch.load(path, map_location="cpu", weights_only=True)["model"]
+        own = network.state_dict()
+        fitting = {k: v for k, v in found.items() if k in own and v.shape == own[k].shape}
+    except Exception as error:  # a pickle can contain anything
+        raise ModelError(f"--weights {path}: no weights of YOLOX: {' '.join(str(error).split())[:200]}") from error
+    if not any(k.startswith("backbone.") for k in fitting):
+        raise ModelError(f"--weights {path}: weights of another network; expected those of --set model")
+    network.load_state_dict(fitting, strict=False)
+    return sorted({*own} - {*fitting})
+
+
+def network_as_onnx(weights: Path, side_px: int) -> bytes:
+    """Return the network of finished weights as ONNX; its output has decoded boxes in px and scores.
+
+    Args:
+        weights: File that the trainer wrote.
+        side_px: Side of the square input, px.
+
+    Raises:
+        RenderError: torch cannot express the network as ONNX.
+    """
+    import torch
+
+    stored = torch.load(weights, map_location="cpu", weights_only=True)
+    network = make_network(stored["network"], len(stored["classes"]))
+    network.load_state_dict(stored["model"])
+    made = BytesIO()
+    picture = torch.zeros(1, 3, side_px, side_px)
+    with warnings.catch_warnings():
+        # torch prefers its new exporter, which needs more packages.
+        warnings.simplefilter("ignore")
+        try:
+            torch.onnx.export(
+                network.eval(), (picture,), made, dynamo=False, opset_version=17,
+                input_names=["images"], output_names=["output"],
+            )  # fmt: skip
+        except Exception as error:  # torch's exporter raises what it likes
+            raise RenderError(f"{weights}: cannot be exported as ONNX: {error}") from error
+    return made.getvalue()
