@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 from infrablend.detection.ultralytics_environment import replace_broken_torchvision
 from infrablend.lab.training.yolox_settings import SHAPES
 from infrablend.errors import MissingDependencyError, ModelError, RenderError
+
 
 def missing_packages() -> list[str]:
     """Return which of the packages for training and export are not installed."""

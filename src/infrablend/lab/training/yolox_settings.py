@@ -38,7 +38,9 @@ def require_yolox_settings(preset: Preset, task: str) -> None:
         problems.append(Problem("--set image_size", "setting-malformed", str(preset.image_size), expected))
     if preset.patience:
         todo = "--set patience=0 --set passes=N, or --backend ultralytics"
-        problems.append(Problem("--set patience", "setting-malformed", str(preset.patience), "0: it trains to the end", todo))
+        problems.append(
+            Problem("--set patience", "setting-malformed", str(preset.patience), "0: it trains to the end", todo)
+        )
     for name, value in preset.arguments.items():
         if name not in ARGUMENTS:
             expected = f"arguments of --backend yolox: {', '.join(ARGUMENTS)}"
