@@ -103,10 +103,10 @@ class DetectionSource:
             if image_size is not None:
                 network = load_finder(file_of(self._path), device=self._device, image_size=image_size)
             before = len(problems)
-            found = search_pictures(network, images, self.name, problems, on_image)
+            predictions = search_pictures(network, images, self.name, problems, on_image)
             if wrong := [p for p in problems[before:] if p.severity == "error"]:
                 raise DatasetError(f"{len(wrong)} of {len(images)} pictures cannot be used", wrong)
-            return found
+            return predictions
         assert self._detector is not None
         if image_size is None:
             problems += self._detector.scale.warnings(self._path)

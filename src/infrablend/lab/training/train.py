@@ -132,7 +132,7 @@ def plan_of(wanted: Dataset, device: str, request: TrainRequest) -> TrainPlan:
 
 
 def choose_device(wanted: str, *, planning: bool = False) -> str:
-    """Return Ultralytics' name of a device: `cpu`, `mps` or the number of a GPU.
+    """Return the trainers' name of a device: `cpu`, `mps` or the number of a GPU.
 
     For a plan where torch is not installed, `auto` is the processor.
     """
@@ -259,7 +259,8 @@ def train_dataset(
     preset = request.chosen_preset()
     start_asked, digest = start_weights.identify(request.weights)
     asked: TrainingRecord = {
-        "preset": preset.name, "backend": request.backend, "task": request.task, "seed": request.seed, "settings": dataclasses.asdict(preset),
+        "preset": preset.name, "backend": request.backend, "task": request.task,
+        "seed": request.seed, "settings": dataclasses.asdict(preset),
         "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
         "start_asked": start_asked, "weights_sha256": digest, "content": content_digest(wanted),
     }  # fmt: skip

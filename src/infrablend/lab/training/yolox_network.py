@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.detection.ultralytics_environment import replace_broken_torchvision
-from infrablend.lab.training.yolox_settings import SHAPES
 from infrablend.errors import MissingDependencyError, ModelError, RenderError
+from infrablend.lab.training.yolox_settings import SHAPES
 
 
 def missing_packages() -> list[str]:
