@@ -130,7 +130,7 @@ def detectability(
         print_problems(planned.problems, session.log_path, session.log_path or Path())
         show_result(session, asdict(planned), lambda: table(_plan_rows(planned, settings)))
         return
-    with shown_progress(session, "inserting") as on_progress:
+    with shown_progress(session, "inserting", "objects") as on_progress:
         report = api.detectability(request, out, overwrite=overwrite, on_progress=on_progress)
     show_report(session, report, out / "detectability.json", report.facts, lambda: _text(report.facts, out))
 

@@ -10,6 +10,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -188,19 +189,19 @@ def human_bytes(n: float) -> str:
     return f"{n:.1f} TiB"
 
 
-def pace_text(frames_per_s: float) -> str:
+def pace_text(frames_per_s: float, unit: str = "frames") -> str:
     """Return, for example, `9.8 frames/s`, or `4.2 frames/min` below one frame per second; empty for no rate."""
     if frames_per_s == 0:
         return ""
     if frames_per_s < 1:
-        return f"{60 * frames_per_s:.1f} frames/min"
-    return f"{frames_per_s:.1f} frames/s"
+        return f"{60 * frames_per_s:.1f} {unit}/min"
+    return f"{frames_per_s:.1f} {unit}/s"
 
 
-def progress_line(p: Progress) -> str:
+def progress_line(p: Progress, unit: str = "frames") -> str:
     """Return, for example, `120/3738 frames, 9.8 frames/s, 6 min 09 s to go, inserted 118, skipped 2`."""
-    parts = [f"{p.done}/{p.total} frames"]
-    if pace := pace_text(p.frames_per_s):
+    parts = [f"{p.done}/{p.total} {unit}"]
+    if pace := pace_text(p.frames_per_s, unit):
         parts.append(pace)
     if p.eta_s is not None and p.done < p.total:
         parts.append(f"{human_seconds(p.eta_s)} to go")
@@ -232,19 +233,19 @@ class LineProgress:
 
 
 @contextlib.contextmanager
-def shown_progress(session: Session, what: str) -> Iterator[OnProgress | None]:
-    """Yield a callable that shows progress, or None if progress is off."""
+def shown_progress(session: Session, what: str, unit: str = "frames") -> Iterator[OnProgress | None]:
+    """Yield a callable that shows progress in a unit, or None if progress is off."""
     if session.quiet:
         yield None
     elif not session.console.is_terminal:
-        yield LineProgress(session.tell)
+        yield LineProgress(session.tell, partial(progress_line, unit=unit))
     else:
-        with _live_bar(session, what) as show:
+        with _live_bar(session, what, unit) as show:
             yield show
 
 
 @contextlib.contextmanager
-def _live_bar(session: Session, what: str) -> Iterator[OnProgress]:
+def _live_bar(session: Session, what: str, unit: str) -> Iterator[OnProgress]:
     from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn
     from rich.progress import Progress as Bar
 
@@ -263,7 +264,7 @@ def _live_bar(session: Session, what: str) -> Iterator[OnProgress]:
         row = bar.add_task(what, total=None, pace="reading", counts="")
 
         def show(p: Progress) -> None:
-            pace = pace_text(p.frames_per_s)
+            pace = pace_text(p.frames_per_s, unit)
             if p.eta_s is not None and p.done < p.total:
                 pace += f", {human_seconds(p.eta_s)} to go"
             counts = " ".join(f"{name} {n}" for name, n in p.counts.items())

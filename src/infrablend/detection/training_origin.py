@@ -16,13 +16,13 @@ class TrainingOrigin:
 
     Attributes:
         data: Folder of the dataset it was trained on.
-        labels: Labels it was trained on.
+        real: Labels of real objects in its tiles or pictures, of both splits.
         inserted: Those of inserted objects.
         recipe: Name of the recipe that inserted them; empty if the run is not there any more.
     """
 
     data: str
-    labels: int
+    real: int
     inserted: int
     recipe: str = ""
 
@@ -42,4 +42,5 @@ def training_origin(detector: Path) -> TrainingOrigin | None:
     run = read_object(Path(data) / RUN_FILE) if inserted else None
     recipe = run.get("recipe") if run else None
     name = recipe.get("name", "") if isinstance(recipe, dict) else ""
-    return TrainingOrigin(data, int(prepared.get("labels", 0)), inserted, str(name))
+    labels = int(prepared.get("labels", 0)) + int(prepared.get("labels_val", 0))
+    return TrainingOrigin(data, labels - inserted, inserted, str(name))

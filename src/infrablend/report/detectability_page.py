@@ -62,6 +62,19 @@ def trust_text(facts: DetectabilityFacts) -> str:
     )
 
 
+def drawn_text(facts: DetectabilityFacts) -> str:
+    """Return the range of the share found over the air and clothing drawn; empty if neither varies."""
+    cells = [c for c in facts["cells"] if c["by"] in ("air", "clothing") and c["predicted"] is not None]
+    if len(cells) < 2:
+        return ""
+    ordered = sorted(cells, key=lambda c: c["predicted"] or 0.0)
+    least, most = (
+        f"{decimals(c['predicted'])} [{interval((c['low'], c['high']))}] with {c['by']} {c['value']}"
+        for c in (ordered[0], ordered[-1])
+    )
+    return f"Over the weather and clothing drawn, the share found is between {least} and {most}."
+
+
 def draw_shares(facts: DetectabilityFacts) -> bytes:
     """Return a chart of the shares found, with intervals: by size on the left, by the other conditions on the right."""
     cells = facts["cells"]
@@ -123,6 +136,7 @@ def detectability_page(facts: DetectabilityFacts, drawn_map: bytes | None = None
         facts=facts,
         tables=tables,
         trust=trust_text(facts),
+        drawn=drawn_text(facts),
         chart=draw_shares(facts),
         drawn_map=drawn_map,
         areas=area_table(facts["map"]["areas"]) if facts["map"] else None,

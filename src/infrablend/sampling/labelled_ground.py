@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import Instance, boxes_of
+from infrablend.core.mesh import FloatArray
 from infrablend.core.surface_kinds import GROUND, SURFACES, Affinity, SurfaceKind
 from infrablend.imaging.surfaces import Grey, SurfaceMap, find_surfaces
 
@@ -69,9 +70,7 @@ def learn_ground(pictures: Iterable[Picture], classes: Collection[str] | None = 
         found = find_surfaces(pixels)
         shares = found.sharp()
         boxes = _cells_of(found, boxes_of(labels))
-        free = np.ones(shares.shape[1:], np.bool_)
-        for x0, y0, x1, y1 in boxes:
-            free[max(int(y0), 0) : int(y1) + 1, max(int(x0), 0) : int(x1) + 1] = False
+        free = _free(shares, boxes)
         if not free.any():
             continue
         times = (ANY_TIME,) if time is None else (ANY_TIME, time)
@@ -100,6 +99,25 @@ def with_labels(affinity: Affinity, ground: LabelledGround, category: str, time:
     most = max(affinity.values(), default=0.0)
     greatest = max(changed.values(), default=0.0)
     return {kind: value * most / greatest for kind, value in changed.items()} if greatest > 0 else affinity
+
+
+def kinds_around(pixels: Grey, boxes_xyxy: FloatArray) -> list[SurfaceKind | None]:
+    """Return the most likely surface right around each of (n, 4) boxes, where no box is; None without free ground."""
+    found = find_surfaces(pixels)
+    shares = found.sharp()
+    shares[SURFACES.index("object")] = 0  # what stands there is not what it stands on
+    boxes = _cells_of(found, boxes_xyxy)
+    free = _free(shares, boxes)
+    rings = [_ring(shares, free, box) for box in boxes]
+    return [None if ring is None else SURFACES[int(ring.argmax())] for ring in rings]
+
+
+def _free(shares: NDArray[np.float32], boxes: FloatArray) -> NDArray[np.bool_]:
+    """Return the (h', w') cells that none of (n, 4) boxes, in cells, covers."""
+    free = np.ones(shares.shape[1:], np.bool_)
+    for x0, y0, x1, y1 in boxes:
+        free[max(int(y0), 0) : int(y1) + 1, max(int(x0), 0) : int(x1) + 1] = False
+    return free
 
 
 def _cells_of(found: SurfaceMap, boxes: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -79,7 +79,7 @@ class Bench:
             "task": request.task,
             "seed": request.seed,
             "classes": names,
-            "settings": json.loads(json.dumps(preset_inputs(request.with_fitting_tiles(dataset).chosen_preset()))),
+            "settings": json.loads(json.dumps(preset_inputs(request.fitted_to(dataset).chosen_preset()))),
             "start_asked": request.weights,
             "prepared": {
                 "images": 8,
@@ -715,6 +715,14 @@ def test_start_weights_of_the_request_count_by_content_wherever_they_lie(data: P
     assert found[0] != keys("hit-uav-drone", data, tmp_path, scale="medium")["train:aligned"]
     with pytest.raises(FetchError, match=r"no such file; expected a \.pt file"):
         plan("hit-uav-drone", data, tmp_path / "w", weights=str(tmp_path / "nothing.pt.zip"))
+
+
+def test_a_training_with_a_network_of_its_own_does_not_start_from_given_weights(data: Path, tmp_path: Path) -> None:
+    given = write_weights(tmp_path / "start.pt", network="yolov5n")
+    request = ExperimentRequest("detectability", [data], tmp_path / "w", scale="small", weights=str(given))
+    graph = prepare_experiment(request).graph
+    assert graph.by_id["train:real"].inputs["weights"] == "start.pt"
+    assert graph.by_id["train:real-other"].inputs["weights"] == "auto"
 
 
 def test_unfit_start_weights_are_refused_before_any_work(bench: Bench, data: Path, tmp_path: Path) -> None:

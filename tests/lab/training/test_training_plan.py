@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from infrablend import api
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.detection import ultralytics_environment
 from infrablend.errors import DatasetError, ModelError, OtherSettingsError, OutputError
@@ -118,6 +119,26 @@ def test_data_without_any_object_are_refused_by_every_preset(preset, tmp_path):
 def test_tiles_are_no_larger_than_most_pictures_unless_a_size_is_stated(sizes, settings, side):
     images = [ImageRecord(str(n), Path(f"{n}.png"), "train", size, ()) for n, size in enumerate(sizes)]
     dataset = Dataset(Path(), "coco", (Category(1, "drone"),), tuple(images))
-    preset = TrainRequest(settings=settings).with_fitting_tiles(dataset).chosen_preset()
+    preset = TrainRequest(settings=settings).fitted_to(dataset).chosen_preset()
     assert (preset.tile, preset.image_size) == (side, settings.get("image_size", side))
     assert preset.arguments["mosaic"] == settings.get("mosaic", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("pitches", "settings", "scale"),
+    [
+        ([90.0, 45.0, 10.0], {}, 0.5),
+        ([90.0, None, 0.0], {}, 0.2),
+        ([-5.0, 0.0, None], {}, 0.2),
+        ([None] * 3, {}, 0.2),
+        ([90.0] * 3, {"scale": 0.3}, 0.3),
+        ([90.0] * 3, {"tile": 0}, 0.2),  # whole pictures keep the preset's
+    ],
+)
+def test_tiles_from_above_are_scaled_more_unless_a_scale_is_stated(pitches, settings, scale):
+    images = [ImageRecord(str(n), Path(f"{n}.png"), "train", (640, 512), (), capture=Capture(pitch_deg=pitch))
+              for n, pitch in enumerate(pitches)]  # fmt: skip
+    dataset = Dataset(Path(), "coco", (Category(1, "Car"),), tuple(images))
+    fitted = TrainRequest(settings=settings).fitted_to(dataset)
+    assert fitted.chosen_preset().arguments["scale"] == scale
+    assert fitted.fitted_to(dataset) == fitted

@@ -471,6 +471,7 @@ def test_progress_line():
     line = progress_line(Progress(120, 3738, 9.8, 369.2, {"inserted": 118, "skipped": 2, "failed": 0}))
     assert line == "120/3738 frames, 9.8 frames/s, 6 min 09 s to go, inserted 118, skipped 2, failed 0"
     assert progress_line(Progress(0, 5)) == "0/5 frames"
+    assert progress_line(Progress(2, 5, 0.5), "objects") == "2/5 objects, 30.0 objects/min"
     assert progress_line(Progress.since(time.monotonic(), 1, 5, {"inserted": 1})) == "1/5 frames, inserted 1"
     assert Progress.since(time.monotonic() - 2, 10, 30).frames_per_s == pytest.approx(5, rel=0.5)
     assert progress_line(Progress(2, 5, 0.07, 43.0)) == "2/5 frames, 4.2 frames/min, 43.0 s to go"

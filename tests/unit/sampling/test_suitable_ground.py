@@ -12,7 +12,7 @@ from infrablend.core.surface_kinds import SURFACES
 from infrablend.errors import RecipeError
 from infrablend.imaging.surfaces import SurfaceMap
 from infrablend.sampling import labelled_ground
-from infrablend.sampling.labelled_ground import ANY_TIME, ClassGround, learn_ground, with_labels
+from infrablend.sampling.labelled_ground import ANY_TIME, ClassGround, kinds_around, learn_ground, with_labels
 from infrablend.sampling.site import Site
 from tests.unit.sampling.test_metric import FLAT, key, lined, off_deg, sampler_of
 
@@ -238,3 +238,11 @@ def test_few_labels_teach_nothing(monkeypatch):
     assert learn_ground([(FLAT, labelled(35, 100), None)], {"Person"}) == {}
     covered = [Instance("Car", np.array([0.0, 0, 640, 512]))] * 40
     assert learn_ground([(FLAT, covered, None)]) == {}
+
+
+def test_the_surface_around_a_box_is_that_of_its_side_without_what_other_boxes_cover(monkeypatch):
+    monkeypatch.setattr("infrablend.sampling.labelled_ground.find_surfaces", lambda _: halves("grass", "path"))
+    pixels = np.zeros((512, 640), np.uint8)
+    boxes = np.array([[100, 200, 120, 240], [500, 200, 520, 240], [290, 200, 350, 240], [311, 180, 400, 300]], float)
+    assert kinds_around(pixels, boxes) == ["grass", "path", "grass", "path"]
+    assert kinds_around(pixels, np.array([[0.0, 0, 640, 512]])) == [None]

@@ -1,7 +1,7 @@
 """Reads the sectors of a search from GeoJSON: polygons, each with its name.
 
 Rings may run either way round, and need not be closed. What a map would show in the wrong place is refused: other
-coordinates than WGS 84, positions off the earth, rings that cross themselves, and sectors far from the flight.
+coordinates than WGS 84, positions off the earth, rings that cross or touch themselves, and sectors far from the flight.
 """
 
 from __future__ import annotations
@@ -131,8 +131,9 @@ def _rings(geometry: Any) -> tuple[tuple[FloatArray, ...], list[tuple[str, str]]
     faults = []
     try:
         for ring in (np.array([p[:2] for p in r], np.float64) for part in parts for r in part):
-            closed = len(ring) > 1 and (ring[0] == ring[-1]).all()
-            rings.append(ring[: len(ring) - closed, ::-1].reshape(-1, 2))
+            corners = ring.reshape(-1, 2)[:, ::-1]
+            # The corner that closes a ring, and those that are written twice, are no edges.
+            rings.append(corners[(corners != np.roll(corners, -1, axis=0)).any(axis=1)])
     except (TypeError, ValueError, IndexError):
         return (), [("coordinates that are no positions", _EXPECTED)]
     if not rings or min(map(len, rings)) < 3:
@@ -143,19 +144,23 @@ def _rings(geometry: Any) -> tuple[tuple[FloatArray, ...], list[tuple[str, str]]
             at = f"longitude {off[0, 1]:g}, latitude {off[0, 0]:g}"
             faults.append((at, "longitudes of -180 to 180 and latitudes of -90 to 90, in this order"))
         elif (crossing := _crossing(ring)) is not None:
-            at = f"a ring that crosses itself near longitude {crossing[1]:.5f}, latitude {crossing[0]:.5f}"
+            at = f"a ring that crosses or touches itself near longitude {crossing[1]:.5f}, latitude {crossing[0]:.5f}"
             faults.append((at, "a simple outline"))
     return tuple(rings), faults
 
 
 def _crossing(ring: FloatArray) -> FloatArray | None:
-    """Return the first corner of an edge that another one crosses; None without any."""
+    """Return the first corner of an edge that another one than its neighbours crosses or touches; None without any."""
     a = ring - ring[0]
     b = np.roll(a, -1, axis=0)
     for k in range(len(a)):
-        # Edges that meet at a corner have a side of 0 there.
-        parted = _side(a[k], b[k], a) * _side(a[k], b[k], b) < 0
-        if (parted & (_side(a, b, a[k]) * _side(a, b, b[k]) < 0)).any():
+        meets = (_side(a[k], b[k], a) * _side(a[k], b[k], b) <= 0) & (_side(a, b, a[k]) * _side(a, b, b[k]) <= 0)
+        # Edges along one line have a side of 0, however far apart.
+        meets &= ((np.minimum(a, b) <= np.maximum(a[k], b[k])) & (np.maximum(a, b) >= np.minimum(a[k], b[k]))).all(
+            axis=1
+        )
+        meets[[k - 1, k, (k + 1) % len(a)]] = False
+        if meets.any():
             return np.asarray(ring[k])
     return None
 

@@ -239,7 +239,9 @@ class _Builder:
         if self.skips(name, [spec.data]):
             return
         of_scale = self.experiment.settings.get(self.request.scale, {})
-        weights = self.request.weights if spec.weights == AUTO else spec.weights
+        # Given weights bring their own network, so they are not for a training that states another one.
+        takes_given = spec.weights == AUTO and "model" not in spec.settings
+        weights = self.request.weights if takes_given else spec.weights
         spec = spec.model_copy(update={"settings": {**of_scale, **spec.settings}, "weights": weights})
         start, digest = identify(spec.weights)
         inputs = {

@@ -377,7 +377,7 @@ def _checked_training(job: StageJob, folder: Path) -> TrainingRecord:
     prepared = record.get("prepared") or {}
     request = TrainRequest(job.request.scale, {**job.stage.spec.settings, **job.request.training})
     dataset = read_dataset(job.needs["data"].dataset, options=job.needs["data"].reader_options)
-    preset = request.with_fitting_tiles(dataset).chosen_preset()
+    preset = request.fitted_to(dataset).chosen_preset()
     asked = preset_inputs(preset)
     settings = {k: v for k, v in (record.get("settings") or {}).items() if k in asked}
     classes = list(inputs["classes"] or data["classes"])

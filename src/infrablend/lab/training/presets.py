@@ -67,8 +67,9 @@ _SHORT_TRAINING = {
     "optimizer": "AdamW", "lr0": 0.002, "momentum": 0.9, "warmup_bias_lr": 0.0, "warmup_epochs": 1.0, "nbs": 16,
     "hsv_h": 0.0, "hsv_s": 0.0,
 }  # fmt: skip
-# The scale stays near 1: tiles exist to preserve the sizes of objects, and with scales of 0.5 to 1.5 the border of a
-# picture told a detector of drones how large objects are, so that it named 0.92 of them with and 0.74 without a border.
+# The scale stays near 1 (`TrainRequest.fitted_to` widens it for pictures from above): tiles exist to preserve the sizes
+# of objects, and with scales of 0.5 to 1.5 the border of a picture told a detector of drones how large objects are, so
+# that it named 0.92 of them with and 0.74 without a border.
 # Half of the images are mosaics of four tiles: without them, a detector learns which pictures have which class.
 _TILE_ARGUMENTS = {**_SHORT_TRAINING, "scale": 0.2, "mosaic": 0.5, "close_mosaic": 0}
 

@@ -104,7 +104,7 @@ def plan_training(
         with workspace(out, "training", RECORD, "refuse" if existing == "refuse" else "resume", keep=True):
             pass
     wanted, _ = select_training_data(dataset, request)
-    return plan_of(wanted, device, request.with_fitting_tiles(wanted))
+    return plan_of(wanted, device, request.fitted_to(wanted))
 
 
 def plan_of(wanted: Dataset, device: str, request: TrainRequest) -> TrainPlan:
@@ -255,7 +255,7 @@ def train_dataset(
     device = choose_device(request.device)
     require_arguments(request.chosen_preset(), request)
     wanted, left_out = select_training_data(dataset, request)
-    request = request.with_fitting_tiles(wanted)
+    request = request.fitted_to(wanted)
     preset = request.chosen_preset()
     start_asked, digest = start_weights.identify(request.weights)
     asked: TrainingRecord = {

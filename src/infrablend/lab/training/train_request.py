@@ -19,6 +19,10 @@ PRESET_FIELDS = ("model", "image_size", "batch", "epochs", "passes", "patience",
 _LEAST = {"image_size": 1, "batch": 1}
 _STRIDE_PX = 32  # sides of tiles are multiples of the network's stride
 _LEAST_TILE_PX = 64  # smaller ones show too little of what is around an object
+_DOWN_DEG = 10  # cameras on a mast or a slope look down less, and see the horizon
+# With the preset's 0.2, a detector of inserted cars overlooks small ones: AP50 0.43 of real cars, 0.49 with 0.5 (one
+# training each; people 0.65 and 0.63).
+_SCALE_FROM_ABOVE = 0.5
 
 
 @dataclass(frozen=True)
@@ -63,18 +67,27 @@ class TrainRequest:
         """Return the preset with `settings` applied; see `choose_preset`."""
         return choose_preset(self.preset, self.settings, self.backend)
 
-    def with_fitting_tiles(self, dataset: Dataset) -> TrainRequest:
-        """Return the request with tiles no larger than the median of the shorter sides of the pictures to train on.
+    def fitted_to(self, dataset: Dataset) -> TrainRequest:
+        """Return the request with the size of tiles and the range of scales that suit the pictures to train on.
 
-        Larger tiles would have a grey border in every picture, always of the same width, which other programs do not
-        add when they show pictures to the detector. A request that states a size keeps it.
+        Tiles are no larger than the median of the pictures' shorter sides. Larger tiles would have a grey border in
+        every picture, always of the same width, which other programs do not add when they show pictures to the
+        detector.
+
+        Tiles of pictures that look down on the ground are scaled by 0.5 to 1.5: flights at a few heights show objects
+        of a few sizes, and other flights others. A size or scale that the request states stays.
         """
-        sides = sorted(min(i.size_wh) for i in dataset.images if i.split == "train" and i.size_wh is not None)
+        preset = self.chosen_preset()
+        images = [i for i in dataset.images if i.split == "train"]
+        sides = sorted(min(i.size_wh) for i in images if i.size_wh is not None)
         side = sides[len(sides) // 2] // _STRIDE_PX * _STRIDE_PX if sides else 0
-        is_stated = "tile" in self.settings or "image_size" in self.settings
-        if is_stated or not _LEAST_TILE_PX <= side < self.chosen_preset().tile:
-            return self
-        return replace(self, settings={**self.settings, "tile": side, "image_size": side})
+        fitting: dict[str, Any] = {}
+        if _LEAST_TILE_PX <= side < preset.tile and not {"tile", "image_size"} & self.settings.keys():
+            fitting |= {"tile": side, "image_size": side}
+        down = sum((i.capture.pitch_deg or 0) >= _DOWN_DEG for i in images)
+        if preset.tile and 2 * down > len(images):
+            fitting["scale"] = _SCALE_FROM_ABOVE
+        return replace(self, settings={**fitting, **self.settings})
 
 
 DEFAULT_TRAINING: TrainRequest = TrainRequest()

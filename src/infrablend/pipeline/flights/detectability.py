@@ -11,6 +11,7 @@ from typing import cast
 import numpy as np
 
 from infrablend import __version__
+from infrablend.assets.catalogue import load_model
 from infrablend.core.files import write_json, write_text
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import replacing, workspace
@@ -182,7 +183,8 @@ def _rules(request: DetectabilityRequest, frames: Frames, finder: Finder) -> Tri
         clusters = {image_key(i): name for name, its in groups.items() for i in its}
     ignored = frozenset(c.name for c in frames.categories if c.ignore)
     least = min(request.settings.confidences)
-    return TrialRules(category, numbers, request.settings.least_overlap, least, clusters, ignored)
+    stands = all(load_model(kind.model).stands for kind in frames.recipe.objects)
+    return TrialRules(category, numbers, request.settings.least_overlap, least, clusters, ignored, stands)
 
 
 def _circles(origin: TrainingOrigin, request: DetectabilityRequest, trials: Trials) -> list[Problem]:
@@ -195,7 +197,7 @@ def _circles(origin: TrainingOrigin, request: DetectabilityRequest, trials: Tria
         problems.append(Problem(request.detector.name, "trained-on", found, "other pictures", todo, "warning"))
     if origin.inserted:
         same = f", by the recipe {origin.recipe}" if origin.recipe else ""
-        found = f"the detector was trained on {origin.inserted} inserted objects{same}"
+        found = f"the detector was trained on {origin.inserted} labels of inserted objects{same}"
         todo = "where no real objects say how well it does, take its figures as an upper bound"
         problems.append(Problem(request.detector.name, "trained-on-inserts", found, "", todo, "warning"))
     return problems
@@ -305,7 +307,7 @@ def _facts(
 ) -> DetectabilityFacts:
     trained_on = "unknown"
     if origin is not None:
-        trained_on = f"{origin.labels - origin.inserted} real and {origin.inserted} inserted objects"
+        trained_on = f"{origin.real} labels of real and {origin.inserted} of inserted objects"
     enough_real = measured["recall"].get("real", 0) >= LEAST_COMPARED
     is_bound = origin is not None and origin.inserted > 0 and not enough_real
     return {

@@ -15,17 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_iou, clip_boxes
-from infrablend.core.dataset import ImageRecord, Instance, known_class
+from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.ground_position import ground_pixel_m, pose_of
 from infrablend.core.rng import stream
 from infrablend.core.scene import ObjectSpec
 from infrablend.detection.detections import Detections, FloatArray
 from infrablend.detection.finder import Finder
 from infrablend.detection.sightings import Sighting, match_scores
-from infrablend.detection.truth import class_key, image_key
+from infrablend.detection.truth import image_key, match_classes
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures.images import load_background
 from infrablend.pipeline.compose.memory_frames import Frame, Frames
+from infrablend.sampling.labelled_ground import kinds_around
 from infrablend.thermal.radiometry import ZERO_C_K
 
 # Half-open ranges of contrast, 8-bit levels, and of the visible share.
@@ -50,6 +51,7 @@ class TrialRules:
         least_score: Least score of a detection that is looked at.
         clusters: Group of each picture by `<split>/<name>`; a picture without one is a group of its own.
         ignored: Classes of the labels that mark regions to ignore.
+        stands: Whether the inserted objects stand on the ground, so that the surface around them counts.
     """
 
     category: str
@@ -58,13 +60,11 @@ class TrialRules:
     least_score: float
     clusters: Mapping[str, str]
     ignored: frozenset[str]
+    stands: bool = False
 
     def is_class(self, name: str) -> bool:
         """Whether labels of a name are of the class: the same name, or another name of the same class."""
-        if class_key(name) == class_key(self.category):
-            return True
-        known = known_class(name)
-        return known is not None and known == known_class(self.category)
+        return bool(match_classes([name], [self.category])[self.category])
 
     def of_class(self, found: Detections) -> Detections:
         """Return the detections of the class."""
@@ -145,12 +145,14 @@ class Trials:
         found = self.rules.of_class(self.finder.find(frame.pixels, self.rules.least_score, before.image.capture.scale))
         boxes = _boxes([*ours, *others])
         scores, near, _ = match_scores(boxes, _boxes([]), found, self.rules.least_overlap)
+        around = self._surfaces(frame.pixels, boxes)
         taken = box_iou(boxes, before.found.boxes_xyxy).max(axis=1, initial=0.0) >= self.rules.least_overlap
         for k, instance in enumerate(ours):
             if taken[k]:
                 self.counts["on_a_detection"] += 1
                 continue
-            self.inserted.append(self._sighting(before.image, instance, scores[k], near[k], frame, round_))
+            sighting = self._sighting(before.image, instance, scores[k], near[k], around[k], frame, round_)
+            self.inserted.append(sighting)
 
     def search(self, image: ImageRecord) -> SearchedPicture | None:
         """Search a picture as it is, once; None if it cannot be read."""
@@ -166,7 +168,8 @@ class Trials:
         ours = [i for i in image.instances if self.rules.is_class(i.category) and not i.is_crowd]
         regions = [i for i in image.instances if i.category in self.rules.ignored or (i.is_crowd and i not in ours)]
         scores, near, alarms = match_scores(_boxes(ours), _boxes(regions), found, self.rules.least_overlap)
-        real = [self._sighting(image, i, scores[k], near[k]) for k, i in enumerate(ours)]
+        around = self._surfaces(pixels, _boxes(ours))
+        real = [self._sighting(image, i, scores[k], near[k], around[k]) for k, i in enumerate(ours)]
         self.searched[key] = SearchedPicture(image, found, real, alarms)
         return self.searched[key]
 
@@ -184,9 +187,13 @@ class Trials:
         ]
         return np.array([size for size, _ in pairs], np.float64), [name for _, name in pairs]
 
+    def _surfaces(self, pixels: NDArray[np.uint8] | NDArray[np.uint16], boxes: FloatArray) -> Sequence[str | None]:
+        """Return the surface around each of (n, 4) boxes of standing objects, found as for real ones; else None."""
+        return kinds_around(pixels, boxes) if self.rules.stands and len(boxes) else [None] * len(boxes)
+
     def _sighting(
-        self, image: ImageRecord, instance: Instance, score: float, near: float, frame: Frame | None = None,
-        round_: int = 0,
+        self, image: ImageRecord, instance: Instance, score: float, near: float, surface: str | None,
+        frame: Frame | None = None, round_: int = 0,
     ) -> Sighting:  # fmt: skip
         key = image_key(image)
         capture = image.capture
@@ -194,6 +201,8 @@ class Trials:
         conditions = look_conditions(image, middle[None])[0] | {"edge": at_edge(image, instance)}
         if capture.pitch_deg is not None:
             conditions["pitch"] = f"{capture.pitch_deg:.0f} degrees"
+        if surface is not None:
+            conditions["surface"] = surface
         track = ""
         if frame is not None and frame.scene is not None:
             number = int(instance.extra["object"])

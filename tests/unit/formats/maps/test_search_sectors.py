@@ -59,11 +59,22 @@ def test_all_faults_are_named_at_once(tmp_path: Path) -> None:
     ]  # fmt: skip
     found = refused(a_file(tmp_path, *features, crs=crs))
     assert len(found) == 7
-    for text, part in zip(found, ("EPSG::25832", "crosses itself near longitude 11.20000, latitude 46.40000",
+    for text, part in zip(found, ("EPSG::25832", "crosses or touches itself near longitude 11.20000, latitude 46.40000",
                                   "longitude 46.4, latitude 111.2", "fewer than three", "LineString", "no positions",
                                   "type None"), strict=True):  # fmt: skip
         assert part in text
     assert "feature 1 (crossed)" in found[1]
+
+
+def test_rings_that_touch_themselves_are_refused_and_double_corners_are_not(tmp_path: Path) -> None:
+    bowtie = [[11.2, 46.4], [11.3, 46.5], [11.4, 46.4], [11.4, 46.6], [11.3, 46.5], [11.2, 46.6]]
+    on_an_edge = [*SQUARE[:2], [11.4, 46.5], [11.3, 46.4], [11.2, 46.6]]
+    for ring in (bowtie, on_an_edge):
+        (found,) = refused(a_file(tmp_path, feature([ring])))
+        assert "crosses or touches itself" in found
+    halves = [[11.2, 46.4], [11.25, 46.4], [11.3, 46.4], [11.4, 46.4], [11.4, 46.4], [11.4, 46.6], [11.2, 46.6]]
+    (sector,), _ = read_sectors(a_file(tmp_path, feature([halves])), CAMERAS)
+    assert len(sector.rings[0]) == 6
 
 
 def test_a_sector_elsewhere_is_left_out_and_named(tmp_path: Path) -> None:

@@ -14,9 +14,11 @@ import pytest
 from PIL import Image
 
 from infrablend import api
+from infrablend.core.surface_kinds import SURFACES
 from infrablend.detection.detections import Detections, detections
 from infrablend.errors import DatasetError, ModelError
 from infrablend.pipeline.flights import detectability as module
+from infrablend.report.detectability_page import drawn_text
 from tests.command_line import said
 
 FLAT = api.Execution(renderer="flat", in_process=True)
@@ -60,13 +62,17 @@ def flight(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> Path:
 
 @pytest.fixture
 def measure(flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., api.DetectabilityReport]:
-    def run(finder: Any, **settings: Any) -> api.DetectabilityReport:
+    def run(
+        finder: Any, recipe: str = "hit-uav-drone", fields: tuple[str, ...] = (), **settings: Any
+    ) -> api.DetectabilityReport:
         if isinstance(finder, Differences):
             finder.learn(flight)
         monkeypatch.setattr(module, "load_finder", lambda *_, **__: finder)
         monkeypatch.setattr("infrablend.pipeline.flights.detectability_figures._FIRST", 10)
         rules = api.DetectabilitySettings(**{"until": 0.15, "most_rounds": 8, **settings})
-        request = api.DetectabilityRequest("hit-uav-drone", tmp_path / "detector", flight, rules, execution=FLAT)
+        request = api.DetectabilityRequest(
+            recipe, tmp_path / "detector", flight, rules, recipe_settings=fields, execution=FLAT
+        )
         return api.detectability(request, tmp_path / "out", overwrite=True)
 
     return run
@@ -108,6 +114,30 @@ def test_the_record_has_recall_and_cells(measure: Callable[..., Any], tmp_path: 
     assert facts["sentence"].startswith("In these pictures, a drone would be found with ")
 
 
+def test_what_stands_has_its_surface_and_what_flies_has_none(measure: Callable[..., Any]) -> None:
+    assert "surface" not in {cell["by"] for cell in measure(Differences()).facts["cells"]}
+    finder = Differences()
+    finder.classes = ("Car",)
+    facts = measure(finder, "hit-uav-car", ("placement.where=anywhere", "placement.max_relief_grey=0")).facts
+    surfaces = {cell["value"]: cell["inserted"] for cell in facts["cells"] if cell["by"] == "surface"}
+    assert surfaces
+    assert set(surfaces) <= {*SURFACES} - {"object"}
+    assert sum(surfaces.values()) <= facts["recall"]["inserted"]
+
+
+def test_the_page_gives_the_range_over_air_and_clothing() -> None:
+    def cell(by: str, value: str, predicted: float) -> dict[str, object]:
+        return {"by": by, "value": value, "predicted": predicted, "low": predicted - 0.1, "high": predicted + 0.1}
+
+    cells = [cell("air", "0-10 degrees Celsius", 0.6), cell("clothing", "winter", 0.4), cell("pose", "lying", 0.2)]
+    facts: Any = {"cells": cells}
+    assert drawn_text(facts).endswith(
+        "between 0.400 [0.300 to 0.500] with clothing winter and 0.600 [0.500 to 0.700] with air 0-10 degrees Celsius."
+    )
+    facts["cells"] = cells[1:]
+    assert drawn_text(facts) == ""
+
+
 def test_a_detector_without_the_class_is_refused(measure: Callable[..., Any]) -> None:
     finder = Differences()
     finder.classes = ("Car",)
@@ -125,10 +155,12 @@ def test_a_detector_of_inserted_objects_gives_an_upper_bound(
     measure: Callable[..., Any], flight: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "detector").mkdir()
-    record = {"data": str(flight), "prepared": {"labels": 50, "losses": {"inserted_dropped": 50}}}
+    # Losses of the label format are counted over both splits.
+    record = {"data": str(flight), "prepared": {"labels": 50, "labels_val": 12, "losses": {"inserted_dropped": 60}}}
     (tmp_path / "detector" / "train.json").write_text(json.dumps(record))
     facts = measure(Differences()).facts
     assert facts["kind"] == "upper bound"
+    assert facts["trained_on"] == "2 labels of real and 60 of inserted objects"
     assert "at most" in facts["sentence"]
     assert {p["code"] for p in facts["problems"]} >= {"trained-on", "trained-on-inserts"}
 
