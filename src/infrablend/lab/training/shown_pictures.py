@@ -15,8 +15,7 @@ from infrablend.core.boxes import box_areas, clip_boxes
 from infrablend.detection.tiles import MIN_SHARE, PAD_GREY
 from infrablend.formats.pictures.images import load_background
 
-# Pictures kept in memory after their first use; 2000 tiles of 320 px are 200 MB.
-_KEPT = 2000
+_KEPT_BYTES = 256 * 1024**2  # of pictures kept in memory after their first use, each at most as large as the input
 _LEAST_SIDE_PX = 2.0  # of a box that still shows an object, as in Ultralytics
 
 
@@ -69,7 +68,7 @@ class ShownPictures:
         self._rows = [_read_rows(data / "labels" / split / p.relative_to(folder)) for p in self.paths]
         self.labels = sum(len(rows) for rows in self._rows)
         self._side = side_px
-        self._read = lru_cache(maxsize=_KEPT)(self._read_levels)
+        self._read = lru_cache(maxsize=_KEPT_BYTES // side_px**2)(self._read_levels)
 
     def show(self, index: int, changes: Changes, rng: np.random.Generator) -> ShownPicture:
         """Return a picture, or a mosaic of it and three others, after random changes."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections import Counter
@@ -30,6 +31,8 @@ from infrablend.lab.training.training_job import (
     reseed,
 )
 from infrablend.lab.training.yolox_network import load_states, make_network
+
+log = logging.getLogger(__name__)  # goes to train.log
 
 _AVERAGE = 0.9999  # decay of the average of weights, which the package approaches over 2000 steps; as in Ultralytics
 _LONGEST_GRADIENT = 10.0  # as in Ultralytics
@@ -106,8 +109,8 @@ class YoloxTraining:
         self.device = torch.device(f"cuda:{job.device}" if job.device.isdigit() else job.device)
         reseed(job, 0)
         network = make_network(job.model, len(job.classes))
-        if job.start:
-            load_states(network, Path(job.start))
+        if job.start and (left := load_states(network, Path(job.start))):
+            log.warning("%s: %d layers start from scratch: %s", job.start, len(left), ", ".join(left))
         # With the channels innermost, convolutions are faster on a processor.
         layout = torch.channels_last if job.device == "cpu" else torch.contiguous_format
         self._network = network.to(self.device, memory_format=layout)
@@ -186,4 +189,4 @@ class YoloxTraining:
         torch.nn.utils.clip_grad_norm_(self._network.parameters(), _LONGEST_GRADIENT)
         self._optimizer.step()
         self._average.update(self._network)
-        return {name: float(losses[theirs]) for name, theirs in _LOSSES.items()}
+        return {name: float(losses[theirs].detach()) for name, theirs in _LOSSES.items()}
