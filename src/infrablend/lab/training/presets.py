@@ -134,7 +134,7 @@ def weights_bytes(preset: Preset) -> float:
     """Estimate the peak disk space of a training's weights, in bytes.
 
     There are four checkpoints (Ultralytics' last and best, ours, and ours while it is replaced) with weights and the
-    optimizer's two moments, and the final weights, all in half precision. YOLOX has two checkpoints in single precision.
+    optimizer's two moments, and the final weights, all in half precision. YOLOX has two in single precision.
     """
     letter = preset.model[-1:]
     parameters_m = _PARAMETERS_M.get(preset.model, _PARAMETERS_M.get(letter, _PARAMETERS_M["x"]))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_areas, clip_boxes
+from infrablend.core.files import read_regular
 from infrablend.detection.tiles import MIN_SHARE, PAD_GREY
 from infrablend.formats.pictures.images import load_background
 
@@ -140,5 +141,5 @@ class ShownPictures:
 
 def _read_rows(picture: Path) -> NDArray[np.float64]:
     """Return the (n, 5) rows of the label file of a picture: class, and centre and size as shares of the picture."""
-    lines = picture.with_suffix(".txt").read_text().splitlines()
+    lines = read_regular(picture.with_suffix(".txt")).decode().splitlines()
     return np.array([line.split() for line in lines], np.float64).reshape(-1, 5)
