@@ -75,7 +75,7 @@ build/numpy1/done: requirements/numpy1.txt | setup
 check: setup ## Lint, format, types, import layers, rules of the tree
 	.venv/bin/ruff check src tests scripts $(wildcard bench examples)
 	.venv/bin/ruff format --check src tests scripts $(wildcard bench examples)
-	.venv/bin/mypy
+	for system in linux darwin win32; do .venv/bin/mypy --platform $$system --cache-dir .mypy_cache/$$system; done
 	.venv/bin/mypy --config-file tests/mypy.ini
 	.venv/bin/lint-imports
 	.venv/bin/python scripts/write_reference.py --check

@@ -245,9 +245,9 @@ def pytest_runtest_makereport() -> Iterator[None]:
 def pytest_configure(config: pytest.Config) -> None:
     """Share the cores among parallel workers, which inherit this: waiting threads of torch and OpenBLAS spin."""
     if workers := getattr(config.option, "numprocesses", None):
-        from infrablend.core.machine import available_cores
+        from infrablend.core.operating_system import usable_processors
 
-        os.environ.setdefault("OMP_NUM_THREADS", str(max(1, available_cores() // workers)))
+        os.environ.setdefault("OMP_NUM_THREADS", str(max(1, len(usable_processors()) // workers)))
 
 
 def pytest_xdist_auto_num_workers() -> int:

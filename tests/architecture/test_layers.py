@@ -145,3 +145,24 @@ def test_nothing_outside_the_lab_imports_it() -> None:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("infrablend.lab")
     }
     assert imported == set()
+
+
+# Modules that not every system has, folders of Linux, and functions of `os` and `signal` that Windows does not have.
+_OF_ONE_SYSTEM = re.compile(
+    r"^\s*(import|from) (fcntl|resource|pwd|grp|msvcrt|termios|winreg)\b|/proc/|/dev/shm"
+    r"|\bos\.(getuid|geteuid|killpg|fork|setsid|pread|pwrite|statvfs|set_blocking|sched_\w+|O_DIRECTORY|O_NONBLOCK)\b"
+    r"|\bpass_fds\b|\bsignal\.(SIGKILL|SIGHUP|SIGUSR1|SIGUSR2|SIGALRM|alarm)\b",
+    re.MULTILINE,
+)
+
+
+def test_what_differs_between_systems_is_in_one_module() -> None:
+    """Blender's side runs on Linux alone: its process gets a socket by its number, and the cores of its caller."""
+    allowed = {"core/operating_system.py", "rendering/engine/process.py"}
+    found = [
+        f"{path.relative_to(PACKAGE).as_posix()}: {match[0].strip()}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for match in _OF_ONE_SYSTEM.finditer(path.read_text("utf-8"))
+        if path.relative_to(PACKAGE).as_posix() not in allowed and path.relative_to(PACKAGE).parts[0] != "blender"
+    ]
+    assert found == []

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from infrablend.core.child_process import CHILD_BYTES, resident_bytes
 from infrablend.core.mesh import make_mesh
+from infrablend.core.operating_system import CHILD_BYTES, resident_bytes
 from infrablend.core.render import place
 from infrablend.core.scene import PartState, Weather
 from infrablend.rendering.flat import FlatRenderer

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from tests.blender.conftest import box_mesh, scene, thing
 
-from infrablend.core.child_process import CHILD_BYTES
+from infrablend.core.operating_system import CHILD_BYTES
 from infrablend.core.render import PlacedScene, RenderResult, place
 from infrablend.errors import MissingDependencyError, WorkerDiedError
 from infrablend.rendering.engine import programs

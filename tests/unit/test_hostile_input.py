@@ -1,6 +1,5 @@
 """Careless or hostile input gives a clear error, no partial output, and no loss of the user's files."""
 
-import fcntl
 import json
 import logging
 import os
@@ -16,6 +15,7 @@ from infrablend.assets.user_model import read_description
 from infrablend.cli.exits import ENVIRONMENT, exit_code
 from infrablend.config.loading import list_recipes, load_recipe, parse_recipe
 from infrablend.core.files import part_path
+from infrablend.core.operating_system import hold
 from infrablend.core.workspace import partial_of
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
@@ -186,15 +186,10 @@ def test_output_and_data_must_be_apart(data, tmp_path):
 
 def test_two_runs_in_one_folder_are_refused(data, tmp_path):
     out = tmp_path / "run"
-    partial_of(out).mkdir()
-    handle = os.open(partial_of(out), os.O_RDONLY)
-    fcntl.flock(handle, fcntl.LOCK_EX)
-    try:
+    with hold(tmp_path / ".run.partial.lock"):
         with pytest.raises(OutputError, match="another process is writing this run"):
             generate(data, out)
         assert not out.exists()
-    finally:
-        os.close(handle)
     assert generate(data, out).ok
 
 
@@ -271,9 +266,10 @@ def test_temporary_folders_of_killed_parents_are_swept_and_those_in_use_are_not(
         "with scratch_folder() as s: open(s + '/x', 'w').close(); os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code], check=False)
-    (left,) = tmp_path.iterdir()
+    left, _ = found = sorted(tmp_path.iterdir())
+    assert [p.name for p in found] == [left.name, left.name + ".lock"]
     with process_pool.scratch_folder() as one:
-        assert not left.exists()
+        assert not any(p.exists() for p in found)
         with process_pool.scratch_folder() as two:
             assert Path(one).is_dir()
             assert one != two
@@ -300,7 +296,7 @@ def test_a_file_name_that_is_not_utf8_is_skipped_and_counted(tmp_path, data):
 
 
 def test_more_workers_than_memory_holds_are_not_started(monkeypatch, caplog):
-    monkeypatch.setattr(run_request, "available_cores", lambda: 2)
+    monkeypatch.setattr(run_request, "usable_processors", lambda: [0, 1])
     assert Execution(None).worker_count() == 2
     assert Execution(1).worker_count() == 1
     assert Execution(10**9).worker_count() < 10**6

@@ -7,6 +7,7 @@ execution off. Lights and cameras are not read.
 from __future__ import annotations
 
 import resource
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -79,8 +80,9 @@ def read_file(job: ModelFileMessage) -> dict[str, object]:
     """
     file = Path(job["file"])
     shown = job["shown"]
-    for what, most in ((resource.RLIMIT_DATA, job["memory_bytes"]), (resource.RLIMIT_CPU, job["cpu_seconds"])):
-        resource.setrlimit(what, (most, resource.getrlimit(what)[1]))
+    if sys.platform != "win32":
+        for what, most in ((resource.RLIMIT_DATA, job["memory_bytes"]), (resource.RLIMIT_CPU, job["cpu_seconds"])):
+            resource.setrlimit(what, (most, resource.getrlimit(what)[1]))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
     try:

@@ -59,7 +59,7 @@ class Jobs:
 
         They are rendered on `device`, and on the processor cores in `cores`; all if it is empty.
         """
-        if job["cores"]:
+        if job["cores"] and sys.platform == "linux":
             for thread in sorted(os.listdir("/proc/self/task")):  # noqa: PTH208 - numbers, not files
                 os.sched_setaffinity(int(thread), job["cores"])
         stage = _module("session").Stage(job["device"], job["folder"])
@@ -99,8 +99,7 @@ def _outcome(jobs: Jobs, job: Message) -> dict[str, object]:
 
 
 def _resident_bytes() -> int:
-    """Return the resident memory of this process; 0 where the system does not tell."""
-    try:
-        return int(Path("/proc/self/statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
+    """Return the resident memory of this process; 0 on other systems than Linux."""
+    if sys.platform != "linux":
         return 0
+    return int(Path("/proc/self/statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")

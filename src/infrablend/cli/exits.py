@@ -23,6 +23,7 @@ import typer
 
 from infrablend.core.file_names import escape_unfit
 from infrablend.core.files import output_error
+from infrablend.core.operating_system import STOP_SIGNALS
 from infrablend.errors import (
     ArgumentError,
     FetchError,
@@ -149,9 +150,9 @@ def stopped_by_signals() -> Iterator[None]:
         yield
         return
     before = {}
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in STOP_SIGNALS:
         # Whoever starts a program in the background of a shell wants Ctrl-C to be ignored.
-        if number == signal.SIGTERM or signal.getsignal(number) is signal.default_int_handler:
+        if number != signal.SIGINT or signal.getsignal(number) is signal.default_int_handler:
             before[number] = signal.signal(number, _stop)
     try:
         yield

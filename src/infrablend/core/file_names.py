@@ -21,6 +21,9 @@ _PLAIN = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_./-]*")
 
 _EDGE_BLANKS = re.compile(r"^\s+|\s+$")
 _RESERVED = frozenset('/\\<>:"|?*')
+_NOT_IN_PATHS = re.compile(f'{UNFIT.pattern}|[\\\\<>:"|?*]')
+_DEVICE = re.compile(r"(^|/)(con|prn|aux|nul|(?:com|lpt)[0-9¹²³])(?=[./]|$)", re.IGNORECASE)
+"""Names that Windows takes for devices, whatever their suffix."""
 
 
 def fold_name(name: str) -> str:
@@ -67,19 +70,20 @@ def fit_name(name: str) -> str:
     """Return a relative path with `_` for what label files cannot hold, or readers take for something else.
 
     These are control characters, blanks at either end of a stem, which lists of stems lose, backslashes, which some
-    readers take for separators, and what leads out of a folder on some system (`T:12.png` is a file on the drive T:
-    there).
+    readers take for separators, and what Windows reserves: some characters, dots at the end, and names of devices,
+    which get a `_` (`nul_.png`).
     """
-    if _PLAIN.fullmatch(name) and ".." not in name:
-        return name
-    fit = UNFIT.sub("_", name).replace("\\", "_")
-    if leaves(fit):
-        fit = fit.replace(":", "_")
-    return "/".join(_fit_part(part) for part in fit.split("/"))
+    if not (_PLAIN.fullmatch(name) and ".." not in name and "./" not in name) or name.endswith("."):
+        name = "/".join(_fit_part(part) for part in _NOT_IN_PATHS.sub("_", name).split("/"))
+    return _DEVICE.sub(r"\1\2_", name)
 
 
 def _fit_part(part: str) -> str:
-    """Return one part of a path without blanks at the ends of the part and of its stem."""
+    """Return one part of a path without blanks at the ends of the part and of its stem, and dots at its end."""
+    if part in (".", ".."):
+        return part
+    whole = part.rstrip(".")
+    part = whole + "_" * (len(part) - len(whole))
     stem, dot, suffix = part.rpartition(".") if "." in part[1:] else (part, "", "")
     return "".join(_EDGE_BLANKS.sub(lambda m: "_" * len(m[0]), p) + d for p, d in ((stem, dot), (suffix, "")))
 
@@ -87,11 +91,13 @@ def _fit_part(part: str) -> str:
 def file_name(text: str) -> str:
     """Return a file name for a text from data, such as the name of a class: one part of a path, on any system.
 
-    Separators, control characters and what Windows reserves become `_`. A name does not begin or end with a dot or a
-    blank, and has at most 100 bytes. Different texts may give the same name; see `distinct_names`.
+    Separators, control characters and what Windows reserves become `_`, and names of devices get one (`nul_`). A name
+    does not begin or end with a dot or a blank, and has at most 100 bytes. Different texts may give the same name; see
+    `distinct_names`.
     """
     kept = "".join("_" if c in _RESERVED or not c.isprintable() else c for c in unicodedata.normalize("NFC", text))
-    return kept.encode("utf-8")[:100].decode("utf-8", "ignore").strip(" .") or "_"
+    name = kept.encode("utf-8")[:100].decode("utf-8", "ignore").strip(" .") or "_"
+    return _DEVICE.sub(r"\1\2_", name)
 
 
 def leaves(name: str) -> bool:
@@ -108,7 +114,8 @@ def can_exist(path: str | Path) -> bool:
         whole = os.fsencode(path)
     except UnicodeEncodeError:  # half of a surrogate pair
         return False
-    return len(whole) < MAX_PATH_BYTES and b"\0" not in whole and max(map(len, whole.split(b"/"))) <= MAX_NAME_BYTES
+    longest = max((len(os.fsencode(part)) for part in Path(path).parts), default=0)
+    return len(whole) < MAX_PATH_BYTES and b"\0" not in whole and longest <= MAX_NAME_BYTES
 
 
 def real_path(path: Path) -> Path:
@@ -121,8 +128,7 @@ def real_path(path: Path) -> Path:
 
 def is_inside(path: Path, folder: Path) -> bool:
     """Return whether a path is in or below `folder` once all links are followed."""
-    inside = os.path.realpath(folder)
-    return os.path.commonpath([os.path.realpath(path), inside]) == inside
+    return real_path(path).is_relative_to(real_path(folder))
 
 
 def leaves_folder(path: Path, folder: Path | None = None) -> bool:

@@ -29,6 +29,7 @@ import platformdirs
 
 from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import MAX_NAME_BYTES, leaves_folder
+from infrablend.core.operating_system import READ_FLAGS, flush_file
 from infrablend.errors import OutputError, Problem
 
 # Errors of os.link where hard links are not supported or not allowed; any other error is real.
@@ -136,10 +137,10 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
         temporary.unlink(missing_ok=True)
         yield temporary
         if durable:
-            flush(temporary)
+            flush_file(temporary)
         temporary.replace(path)
         if durable:
-            flush(path.parent)
+            flush_file(path.parent)
     except BaseException as error:
         if not isinstance(error, FileExistsError):  # made by somebody else in this moment
             with contextlib.suppress(OSError):
@@ -156,18 +157,6 @@ def require_still_there(paths: Iterable[Path]) -> None:
         expected = "the file that was written before"
         problems = [Problem(p, "output-removed", "no file", expected, "repeat the command") for p in gone]
         raise OutputError("output was removed while the command was running", problems)
-
-
-def flush(path: Path) -> None:
-    """Flush a file, or the renames in a folder, to disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # not every file system can, least of all for folders
-            raise
-    finally:
-        os.close(handle)
 
 
 def write_bytes(path: Path, data: bytes, *, durable: bool = False) -> Path:
@@ -233,8 +222,7 @@ def open_regular(path: Path, folder: Path | None = None) -> Iterator[BufferedRea
     """
     if leaves_folder(path, folder):
         raise LinkOutError(errno.EPERM, LINK_OUT, str(path))
-    # A pipe would block here without O_NONBLOCK.
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    handle = os.open(path, READ_FLAGS)
     with os.fdopen(handle, "rb") as stream:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise NotRegularError(errno.EINVAL, "not a regular file", str(path))

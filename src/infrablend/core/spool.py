@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import tempfile
-import weakref
+import threading
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Generic, TypeVar, overload
+from typing import IO, Generic, TypeVar, overload
 
 from infrablend.core.dataset import SPLITS, ImageRecord
 from infrablend.core.files import output_error
@@ -39,7 +38,8 @@ class Spool(Sequence[Item], Generic[Item]):
         self._limit = IN_MEMORY if in_memory is None else in_memory
         self._first: list[Item] = []
         self._starts = array("Q", [0])
-        self._file: int | None = None
+        self._file: IO[bytes] | None = None
+        self._lock = threading.Lock()  # one place in the file serves all threads
 
     def append(self, item: Item) -> None:
         """Add an item; an `OutputError` if the file cannot be written, for example because the disk is full."""
@@ -49,10 +49,10 @@ class Spool(Sequence[Item], Generic[Item]):
         data = pickle.dumps(item, protocol=pickle.HIGHEST_PROTOCOL)
         try:
             if self._file is None:
-                with tempfile.TemporaryFile(dir=self._folder) as stream:
-                    self._file = os.dup(stream.fileno())
-                weakref.finalize(self, os.close, self._file)
-            _write_all(self._file, data)
+                self._file = tempfile.TemporaryFile(buffering=0, dir=self._folder)  # noqa: SIM115
+            with self._lock:
+                self._file.seek(self._starts[-1])
+                _write_all(self._file, data)
         except OSError as error:
             raise output_error(self._folder, error) from error
         self._starts.append(self._starts[-1] + len(data))
@@ -76,7 +76,9 @@ class Spool(Sequence[Item], Generic[Item]):
             return self._first[n]
         assert self._file is not None
         start, end = self._starts[n - len(self._first)], self._starts[n - len(self._first) + 1]
-        found: Item = pickle.loads(os.pread(self._file, end - start, start))
+        with self._lock:
+            self._file.seek(start)
+            found: Item = pickle.loads(self._file.read(end - start))
         return found
 
     def __iter__(self) -> Iterator[Item]:
@@ -84,10 +86,10 @@ class Spool(Sequence[Item], Generic[Item]):
         return (self[n] for n in range(len(self)))
 
 
-def _write_all(handle: int, data: bytes) -> None:
+def _write_all(stream: IO[bytes], data: bytes) -> None:
     view = memoryview(data)
     while view:
-        view = view[os.write(handle, view) :]
+        view = view[stream.write(view) :]
 
 
 @dataclass(frozen=True, eq=False)

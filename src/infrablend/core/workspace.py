@@ -3,6 +3,7 @@
     OUT/                 complete, or not there
     .OUT.partial/        the workspace: being written, or left by a command that was interrupted
     .OUT.replaced/       the folder that --overwrite replaces, until it is deleted
+    .OUT.partial.lock    locked by the process that writes, and removed by it
 
 So what stands under the name that the user gave is complete, and nothing unfinished is read by mistake. Where OUT
 cannot be renamed (a mount point, the working folder, a parent that may not be written), `.partial` and `.replaced` are
@@ -19,7 +20,6 @@ Every command that writes a folder goes through `workspace`, so that the same ru
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import logging
 import os
@@ -33,6 +33,7 @@ from infrablend import __version__
 from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, read_object, write_json
+from infrablend.core.operating_system import hold, is_held
 from infrablend.core.typed_command import command_facts, recorded_command
 from infrablend.errors import BusyError, OutputError
 
@@ -57,7 +58,7 @@ DETECT_FILE = "detect.json"
 
 NOTE = ".workspace.json"
 """Note in a workspace: what it is for, and the command that finishes it."""
-_OWN = frozenset({NOTE, ".partial", ".replaced"})
+_OWN = frozenset({NOTE, ".partial", ".partial.lock", ".replaced"})
 _SHOWN = 4
 
 
@@ -72,7 +73,6 @@ class Workspace:
         record: File name of the record that the finished folder has, a JSON object.
         state: What was found: `new` (nothing), `started` (the workspace of an interrupted call), or `complete` (a
             finished folder, which `folder` names until `reopen`).
-        locks: Locks of this call.
         derived: Names at the top of the finished folder that other commands may add, and `overwrite` may delete.
     """
 
@@ -81,7 +81,6 @@ class Workspace:
     noun: str
     record: str
     state: Literal["new", "started", "complete"]
-    locks: contextlib.ExitStack
     derived: frozenset[str] = frozenset()
 
     @property
@@ -108,7 +107,7 @@ class Workspace:
             if self.partial.parent == self.out:
                 _move_entries(self.out, self.partial, first=self.record)
             else:
-                self.locks.enter_context(_lock(self.out, self.noun))
+                self.partial.rmdir()
                 self.out.rename(self.partial)
         self.folder = self.partial
         self.state = "started"
@@ -198,14 +197,12 @@ def workspace(
     if os.path.lexists(root) and not root.is_dir():
         found = "a link that leads nowhere" if root.is_symlink() else "a file"
         raise OutputError(f"{out}: is {found}; expected a folder, or a name that does not exist yet")
-    with contextlib.ExitStack() as locks:
-        partial = partial_of(root)
-        locks.enter_context(_lock(partial, noun, make=True))
-        space = Workspace(root, partial, noun, record, "new", locks, frozenset(derived))
+    partial = partial_of(root)
+    with _locked(partial, noun):
+        space = Workspace(root, partial, noun, record, "new", frozenset(derived))
         if space._is_finished():  # killed while it got its name
             space._publish()
-            locks.close()  # the lock went with the folder, which `reopen` locks again
-            locks.enter_context(_lock(partial, noun, make=True))
+            partial.mkdir()
         with _reported(root):
             (root / NOTE).unlink(missing_ok=True)  # left by a kill right after the folder got its name
         if (_replaced_of(root) / record).exists():
@@ -240,7 +237,7 @@ def partial_of(out: Path) -> Path:
     inside = root / ".partial"
     if root.is_dir():
         here = real_path(Path())
-        fixed = root.is_mount() or root == here or root in here.parents
+        fixed = os.path.ismount(root) or root == here or root in here.parents
         if fixed or inside.is_dir() or not os.access(root.parent, os.W_OK):
             return inside
     return root.with_name(f".{root.name}.partial")
@@ -258,19 +255,7 @@ def unfinished(out: Path) -> str | None:
 
 def is_being_written(out: Path) -> bool:
     """Return whether a process is writing an output folder, as far as its file system has locks."""
-    try:
-        handle = os.open(partial_of(out), os.O_RDONLY | os.O_DIRECTORY)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
-    finally:
-        os.close(handle)
-    return False
+    return is_held(_lock_of(partial_of(out)))
 
 
 def _require_own(space: Workspace, *, replaced: bool) -> None:
@@ -335,33 +320,26 @@ def _refused(space: Workspace, entries: list[str], keep: bool) -> OutputError:
     )
 
 
+def _lock_of(partial: Path) -> Path:
+    return partial.with_name(partial.name + ".lock")
+
+
 @contextlib.contextmanager
-def _lock(folder: Path, noun: str, *, make: bool = False) -> Iterator[None]:
-    """Lock a folder until the end of the block; the lock is on the folder itself and leaves no file."""
-    while True:
+def _locked(partial: Path, noun: str) -> Iterator[None]:
+    """Make a workspace, and lock it until the end of the block."""
+    with contextlib.ExitStack() as lock:
         try:
-            if make:
-                folder.mkdir(parents=True, exist_ok=True)
-            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            partial.parent.mkdir(parents=True, exist_ok=True)
+            lock.enter_context(hold(_lock_of(partial)))
+            partial.mkdir(exist_ok=True)
+        except BlockingIOError as error:
+            raise BusyError(
+                f"{partial}: another process is writing this {noun}; wait for it to end, or give another folder"
+            ) from error
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise OutputError(f"{folder}: cannot be written ({reason}); expected a folder you may write to") from error
-        try:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise BusyError(
-                    f"{folder}: another process is writing this {noun}; wait for it to end, or give another folder"
-                ) from error
-            except OSError as error:  # file systems without locks
-                log.warning("%s: cannot be locked (%s); do not let two commands write to it", folder, error)
-            # Another process may have renamed the folder between the two calls above.
-            if not folder.is_dir() or not os.path.samestat(os.fstat(handle), folder.stat()):
-                continue
-            yield
-            return
-        finally:
-            os.close(handle)
+            raise OutputError(f"{partial}: cannot be written ({reason}); expected a folder you may write to") from error
+        yield
 
 
 @contextlib.contextmanager

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.operating_system import user_id
 from infrablend.errors import MissingDependencyError
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def quiet_ultralytics() -> Iterator[None]:
     try:
         if "ultralytics" not in sys.modules:
             # It reads its settings on import; we need none of them, so the folder may be cleaned up at any time.
-            folder = Path(tempfile.gettempdir()) / f"infrablend-ultralytics-{os.getuid()}"
+            folder = Path(tempfile.gettempdir()) / f"infrablend-ultralytics-{user_id()}"
             folder.mkdir(mode=0o700, exist_ok=True)
             configure_ultralytics(folder)
         from ultralytics.utils import LOGGER

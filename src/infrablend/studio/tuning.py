@@ -24,10 +24,10 @@ from infrablend import __version__
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
-from infrablend.core.child_process import describe_exit
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_text
+from infrablend.core.operating_system import IN_BACKGROUND, ask_to_stop, describe_exit
 from infrablend.core.typed_command import reading_words
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
 from infrablend.formats import dataset_folder
@@ -369,8 +369,8 @@ def _to_yaml(recipe: Recipe) -> str:
 
 
 _PROGRESS = re.compile(r"(\d+)/(\d+) frames\b")
-# Of the command, and of a process that was stopped before the command could see to it, or twice.
-_STOPPED = (130, -signal.SIGTERM)
+# Of the command, and of a process that was stopped before the command could see to it, or twice; the last on Windows.
+_STOPPED = (130, -signal.SIGTERM, 0xC000013A)
 _KEPT_LINES = 200
 _CLOSE_S = 20
 
@@ -403,7 +403,7 @@ class Generation:
             text=True,
             encoding="utf-8",
             errors="replace",
-            start_new_session=True,
+            **IN_BACKGROUND,
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -445,7 +445,7 @@ class Generation:
     def stop(self) -> None:
         """Do what Ctrl-C does: finished frames are kept for `--resume`. A second time ends it at once."""
         if self._process.poll() is None:
-            self._process.terminate()  # where a studio in the background has children that ignore SIGINT, too
+            ask_to_stop(self._process)
 
     def close(self) -> None:
         """Stop it, and wait for its end."""

@@ -7,11 +7,13 @@ import pickle
 import zipfile
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from infrablend import api
 from infrablend.core.capture import Capture
-from infrablend.core.dataset import Category, Dataset, ImageRecord
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.detection import ultralytics_environment
 from infrablend.errors import DatasetError, ModelError, OtherSettingsError, OutputError
 from infrablend.lab.training import start_weights
@@ -142,3 +144,15 @@ def test_tiles_from_above_are_scaled_more_unless_a_scale_is_stated(pitches, sett
     fitted = TrainRequest(settings=settings).fitted_to(dataset)
     assert fitted.chosen_preset().arguments["scale"] == scale
     assert fitted.fitted_to(dataset) == fitted
+
+
+@pytest.mark.parametrize(("empty", "warned"), [(10, False), (12, True), (0, False)])
+def test_many_pictures_without_an_object_are_named(empty, warned, tmp_path, caplog):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((512, 640), np.uint8))
+    car = Instance("Car", np.array([1.0, 1.0, 9.0, 9.0]))
+    images = [ImageRecord(str(n), tmp_path / "a.png", "train", (640, 512), () if n < empty else (car,))
+              for n in range(100)]  # fmt: skip
+    dataset = Dataset(Path(), "coco", (Category(1, "Car"),), tuple(images))
+    select_training_data(dataset, TrainRequest())
+    assert ("12 of 100 pictures without an object" in caplog.text) == warned
+    assert ("convert --with-class Car" in caplog.text) == warned

@@ -1,12 +1,13 @@
 """Tests of the workspace of an output folder: complete or not there, whatever happens."""
 
-import fcntl
+import errno
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import filelock
 import pytest
 
 from infrablend.core.workspace import CONTENTS, NOTE, is_being_written, partial_of, unfinished, workspace
@@ -254,10 +255,10 @@ def test_two_processes_do_not_write_one_folder(tmp_path: Path) -> None:
 def test_a_file_system_without_locks_gives_a_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def refuse(handle: int, operation: int) -> None:
-        raise OSError(95, os.strerror(95))
+    def refuse(lock: filelock.FileLock) -> None:
+        raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
 
-    monkeypatch.setattr(fcntl, "flock", refuse)
+    monkeypatch.setattr(filelock.FileLock, "_acquire", refuse)
     write(tmp_path / "out")
     assert "cannot be locked" in caplog.text
     assert (tmp_path / "out" / RECORD).exists()

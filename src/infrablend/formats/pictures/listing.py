@@ -21,7 +21,7 @@ from infrablend.errors import Problem
 from infrablend.formats.annotation_files import note_read
 from infrablend.formats.base import SPLIT_FOLDERS
 
-JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif")
+JPEG_SUFFIXES: tuple[str, ...] = (".jpg", ".jpeg", ".jpe", ".jfif")
 PICTURE_SUFFIXES = (*JPEG_SUFFIXES, ".png", ".bmp", ".tif", ".tiff", ".webp")
 UNREAD_SUFFIXES = frozenset({
     ".apng", ".avif", ".bw", ".cr2", ".cr3", ".dib", ".dng", ".exr", ".fff", ".fit", ".fits", ".gif", ".hdr", ".heic",

@@ -14,7 +14,8 @@ from typing import Any
 
 from infrablend.config.loading import read_recipe
 from infrablend.core.files import free_bytes, read_object
-from infrablend.core.machine import available_cores, describe_machine
+from infrablend.core.machine import describe_machine
+from infrablend.core.operating_system import usable_processors
 from infrablend.core.workspace import partial_of
 from infrablend.detection.predict import pick_device
 from infrablend.detection.recall import Z95
@@ -122,7 +123,7 @@ def stage_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> flo
         case "world":
             return START_S + images * WORLD_S
         case "generate":
-            return START_S + images * (FRAME_S + OBJECT_S * _mean_objects(stage.spec)) / available_cores()
+            return START_S + images * (FRAME_S + OBJECT_S * _mean_objects(stage.spec)) / len(usable_processors())
         case "evaluate":
             return START_S + images * PREDICT_S["gpu" if _runs_on_gpu(request.device) else "cpu"]
         case "detectability":
@@ -142,7 +143,7 @@ def _searched_seconds(stage: Stage, request: ExperimentRequest) -> float:
     most = images * about_scenes(recipe, images) * DEFAULT_DETECTABILITY.most_rounds
     frames = min(0.25 * (Z95 / float(stage.inputs["until"])) ** 2 / max(objects, 0.1), most)
     predict_s = PREDICT_S["gpu" if _runs_on_gpu(request.device) else "cpu"]
-    return frames * ((FRAME_S + OBJECT_S * objects) / available_cores() + predict_s) + images * predict_s
+    return frames * ((FRAME_S + OBJECT_S * objects) / len(usable_processors()) + predict_s) + images * predict_s
 
 
 def _runs_on_gpu(device: str) -> bool:

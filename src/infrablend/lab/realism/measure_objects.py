@@ -22,7 +22,7 @@ from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.frame_row import FrameRecord
-from infrablend.core.machine import take_core
+from infrablend.core.operating_system import take_core
 from infrablend.core.render import Renderer
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from infrablend.core.machine import has_matrix_units, usable_cores
+from infrablend.core.machine import usable_cores
+from infrablend.core.operating_system import has_matrix_units
 from infrablend.detection.detections import Task
 
 PresetName = Literal["paper", "medium", "small", "smoke"]

@@ -20,8 +20,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.child_process import die_with_parent, watch_parent
 from infrablend.core.files import load_json, replace_atomically
+from infrablend.core.operating_system import die_with_parent, watch_parent
 from infrablend.detection.scale import CHECKPOINT, MARK, NEW_CHECKPOINT, RUN, ULTRALYTICS, WEIGHTS
 from infrablend.detection.ultralytics_environment import configure_ultralytics, has_fast_bfloat16
 from infrablend.lab.training.presets import cpu_threads

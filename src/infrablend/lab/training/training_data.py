@@ -33,6 +33,9 @@ _FATAL_LOSSES = ("box_outside", "without_mask_omitted", "class_unfit")
 # Rejected labels and pictures that an error lists; it counts the others.
 _REJECTED_SHOWN = 20
 _FEW_PICTURES = 100
+# Ultralytics advises up to 10 % of pictures without objects. With 40 % of them, a detector of inserted cars had AP50
+# 0.48 of real ones (three trainings), and 0.54 without them (two).
+_MOST_EMPTY = 0.1
 
 log = logging.getLogger(__name__)
 
@@ -99,6 +102,13 @@ def _split_problems(wanted: Dataset, keep: Sequence[str], preset: Preset) -> Ite
         expected = f"{_FEW_PICTURES} or more: a detector finds little after fewer"
         todo = "give more pictures, or take its figures as those of a test run"
         yield Problem("split train", "few-pictures", found, expected, todo, severity="warning")
+    empty = sum(i.split == "train" and not i.instances for i in wanted.images)
+    if _MOST_EMPTY < empty / max(splits["train"], 1) < 1:
+        found = f"{empty} of {splits['train']} pictures without an object"
+        expected = f"{_MOST_EMPTY:.0%} or less: they take the place of objects among the images shown"
+        how = f" with infrablend convert --with-class {shlex.quote(keep[0])}" if len(keep) == 1 else ""
+        todo = f"leave them out{how}, unless false alarms matter more"
+        yield Problem("split train", "many-empty", found, expected, todo, severity="warning")
     objects = _objects_of(wanted.images, "train")
     for name in keep:
         if splits["train"] and not objects[name]:

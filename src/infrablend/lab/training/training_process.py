@@ -16,6 +16,7 @@ from typing import cast
 
 from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, write_json
+from infrablend.core.operating_system import IN_BACKGROUND, ask_to_stop, kill_tree
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.detection.scale import DATA, JOB, LOG, RECORD
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, RenderError
@@ -161,9 +162,7 @@ def watch(command: list[str], log: Path, take: Callable[[TrainerEvent], None]) -
     with Interruption() as interruption:
         try:
             with log.open("ab") as errors:
-                process = subprocess.Popen(
-                    command, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True
-                )
+                process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, **IN_BACKGROUND)
         except OSError as error:
             raise output_error(log, error) from error
         assert process.stdout is not None
@@ -171,7 +170,7 @@ def watch(command: list[str], log: Path, take: Callable[[TrainerEvent], None]) -
         def end_it() -> None:
             while process.poll() is None:
                 if interruption.requested:
-                    process.terminate()
+                    ask_to_stop(process)
                     return
                 time.sleep(0.2)
 
@@ -187,7 +186,7 @@ def watch(command: list[str], log: Path, take: Callable[[TrainerEvent], None]) -
                         take(cast("TrainerEvent", event))
                 code = process.wait()
             except BaseException:
-                process.kill()
+                kill_tree(process)
                 raise
         return code, interruption.requested
 

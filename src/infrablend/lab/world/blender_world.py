@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.camera import CameraSpec
-from infrablend.core.machine import take_core
 from infrablend.core.mesh import FloatArray, IntArray
+from infrablend.core.operating_system import take_core
 from infrablend.core.surface_kinds import SURFACES
 from infrablend.core.tasks import Task
 from infrablend.lab.world.buildings import building

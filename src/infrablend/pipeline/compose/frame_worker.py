@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from infrablend.core.files import write_bytes
-from infrablend.core.machine import take_core
+from infrablend.core.operating_system import take_core
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task, TaskResult, WorkerSpec
 from infrablend.pipeline.compose.composed import ComposedFrame, MadeFrame

@@ -1,22 +1,23 @@
 """Runs tasks in worker processes that may crash, hang or grow without ending the run.
 
 Workers are fresh Python interpreters, like those of multiprocessing's `spawn`. They are started by `subprocess`, which
-gives each worker its own environment, its own process group (so that Ctrl-C reaches only the parent) and a pipe for the
-output of Blender's C code. Unlike `spawn`, it does not import the caller's main module again.
+gives each worker its own environment, its own process group (so that Ctrl-C reaches only the parent) and pipes: stdin
+and stdout for messages, stderr for what is printed, by C code too. Unlike `spawn`, it does not import the caller's main
+module again. Threads read the pipes, since not every system can wait for several of them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import itertools
 import json
 import logging
+import math
 import os
 import pickle
+import queue
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -25,12 +26,17 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import IO, Any
 
-from infrablend.core.child_process import describe_exit
+from infrablend.core.operating_system import (
+    IN_BACKGROUND,
+    describe_exit,
+    hold,
+    is_own,
+    kill_tree,
+    memory_folder,
+)
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
 from infrablend.errors import Interrupted, OutputError, Problem, WorkerDiedError
 from infrablend.pipeline.execution.interrupt import STOPPED, Interruption
@@ -40,12 +46,15 @@ from infrablend.pipeline.execution.worker import (
     StartMessage,
     WorkerLimits,
     loss_of,
+    send,
     start_error,
     value_of,
 )
 
 _SCRATCH = "infrablend-workers-"
-_MIN_MEMORY_BYTES = 48 * 2**20  # a full-frame float image is 5 MiB; containers often give /dev/shm 64 MiB
+_NEW = "infrablend-new-"
+_LOCK = ".lock"
+_MIN_MEMORY_BYTES = 48 * 2**20  # a full-frame float image is 5 MiB; containers often give 64 MiB
 
 
 @contextlib.contextmanager
@@ -53,57 +62,56 @@ def scratch_folder() -> Iterator[str]:
     """Create the folder for temporary files of workers: in memory unless TMPDIR is set or memory is short.
 
     The parent removes it, since a killed worker cannot. The next run removes the folder of a killed parent. A lock
-    marks a folder in use; it ends with its process.
+    beside a folder marks it as in use; it ends with its process.
 
     Raises:
         OutputError: The folder cannot be created.
     """
-    memory = Path("/dev/shm")
-    roomy = os.access(memory, os.W_OK) and shutil.disk_usage(memory).free >= _MIN_MEMORY_BYTES
-    folder = Path(tempfile.gettempdir()) if os.environ.get("TMPDIR") or not roomy else memory
-    try:
-        _sweep(folder)
-        # Create under another name, lock, then rename: no sweep can find it without its lock.
-        made = Path(tempfile.mkdtemp(prefix="infrablend-new-", dir=folder))
-        handle = os.open(made, os.O_RDONLY)
-        with contextlib.suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        scratch = made.rename(folder / (_SCRATCH + made.name.removeprefix("infrablend-new-")))
-    except OSError as error:
-        raise OutputError(
-            f"{folder}: cannot create a temporary folder ({error.strerror or error}); free some space there, or set "
-            "TMPDIR to another folder",
-            [Problem(str(folder), "disk-full" if error.errno == errno.ENOSPC else "not-writable", str(error))],
-        ) from error
-    try:
+    folder = None if os.environ.get("TMPDIR") else memory_folder()
+    if folder is None or shutil.disk_usage(folder).free < _MIN_MEMORY_BYTES:
+        folder = Path(tempfile.gettempdir())
+    with contextlib.ExitStack() as stack:
+        try:
+            _sweep(folder)
+            # Create under another name, lock, then rename: no sweep can find it without its lock.
+            made = Path(tempfile.mkdtemp(prefix=_NEW, dir=folder))
+            scratch = folder / (_SCRATCH + made.name.removeprefix(_NEW))
+            stack.enter_context(hold(_lock_of(scratch)))
+            made.rename(scratch)
+        except OSError as error:
+            raise OutputError(
+                f"{folder}: cannot create a temporary folder ({error.strerror or error}); free some space there, or "
+                "set TMPDIR to another folder",
+                [Problem(str(folder), "disk-full" if error.errno == errno.ENOSPC else "not-writable", str(error))],
+            ) from error
+        stack.callback(shutil.rmtree, scratch, ignore_errors=True)
         yield str(scratch)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-        os.close(handle)
+
+
+def _lock_of(scratch: Path) -> Path:
+    return scratch.with_name(scratch.name + _LOCK)
 
 
 def _sweep(folder: Path) -> None:
     for left in sorted(folder.glob(_SCRATCH + "*")):
+        scratch = left.with_name(left.name.removesuffix(_LOCK))
         with contextlib.suppress(OSError):
-            if left.is_symlink() or left.stat().st_uid != os.getuid():
-                continue
-            handle = os.open(left, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(left, ignore_errors=True)
-            finally:
-                os.close(handle)
+            if is_own(left):
+                with hold(_lock_of(scratch)):
+                    shutil.rmtree(scratch, ignore_errors=True)
 
 
 logger = logging.getLogger(__name__)
 
 IN_FLIGHT = 2  # tasks per worker: one runs and one waits in its inbox, so that the worker never idles
 TAIL_LINES = 20  # lines of a dead worker's output that its failure quotes
+_TICK_S = 0.5  # longest wait without a look at signals, which do not end a wait on Windows
+_LAST_WORDS_S = 1.0
 
 # -c and not -m: the child must find the caller's modules, whatever the caller did to its sys.path.
 _BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from infrablend.pipeline.execution.worker import main; main(int(sys.argv[2]))"
+    "from infrablend.pipeline.execution.worker import main; main()"
 )
 
 
@@ -141,7 +149,7 @@ class ProcessPool:
         """Run tasks and yield their results, see `core.tasks.Executor`."""
         with contextlib.ExitStack() as stack:
             run = _open_run(self._worker, self._settings, stack)
-            stop = stack.enter_context(Interruption(run.signal_all))
+            stop = stack.enter_context(Interruption(run.signal_all, run.wake))
             stack.callback(run.kill_all)
             yield from run.results(iter(tasks), stop)
             run.finish_all()
@@ -224,8 +232,6 @@ class _Worker:
 
     number: int
     process: subprocess.Popen[bytes]
-    conn: Connection
-    output: IO[bytes]
     since: float  # start of the worker or of its current task, on the monotonic clock
     ready: bool = False
     ending: bool = False  # receives no more tasks
@@ -233,8 +239,7 @@ class _Worker:
     rss_bytes: int = 0
     in_flight: deque[_Attempt] = field(default_factory=deque)
     tail: deque[str] = field(default_factory=lambda: deque(maxlen=TAIL_LINES))
-    partial: bytes = b""
-    silent: bool = False  # its output is closed
+    printer: threading.Thread | None = None  # reads its output
 
 
 class _Run:
@@ -251,6 +256,8 @@ class _Run:
         self._winding_down = False
         self._pending: deque[_Attempt] = deque()
         self._indices = itertools.count()
+        # What a worker has said; None when it has closed its pipe; without a worker to end the wait.
+        self._heard: queue.SimpleQueue[tuple[_Worker | None, Any]] = queue.SimpleQueue()
 
     def results(self, source: Iterator[Task], stop: Interruption | None = None) -> Iterator[TaskResult]:
         """Feed workers, wait and collect results until no task is left or the user stops the run."""
@@ -277,7 +284,7 @@ class _Run:
                     self._feed()
                 elif not self._workers or time.monotonic() >= give_up_at:
                     raise Interrupted(STOPPED)
-                self._collect(stop, give_up_at)
+                self._collect(give_up_at)
                 while call.arrived:
                     yield call.arrived.popleft()
         finally:
@@ -301,24 +308,20 @@ class _Run:
             self._workers.append(self._start())
 
     def _start(self) -> _Worker:
-        ours, theirs = Pipe()
         number = self._started
         self._started += 1
-        try:
-            process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, json.dumps(sys.path), str(theirs.fileno()), f"worker-{number}"],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                pass_fds=[theirs.fileno()],
-                env={**os.environ, **ONE_THREAD, "TMPDIR": self._scratch},
-                process_group=0,
-            )
-        finally:
-            theirs.close()  # otherwise the death of the worker would not end the stream
-        assert process.stdout is not None
-        os.set_blocking(process.stdout.fileno(), False)
-        worker = _Worker(number, process, ours, process.stdout, time.monotonic())
+        process = subprocess.Popen(
+            [sys.executable, "-c", _BOOT, json.dumps(sys.path), f"worker-{number}"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**os.environ, **ONE_THREAD, "TMPDIR": self._scratch},
+            **IN_BACKGROUND,
+        )
+        worker = _Worker(number, process, time.monotonic())
+        worker.printer = threading.Thread(target=self._read_output, args=(worker,), daemon=True)
+        for thread in (worker.printer, threading.Thread(target=self._read_messages, args=(worker,), daemon=True)):
+            thread.start()
         # Linux signals the child when the thread that started it ends, so request that signal in the main thread only.
         main_thread = threading.current_thread() is threading.main_thread()
         self._send(worker, StartMessage(number, self._spec, os.getpid(), main_thread, self._settings.log_level))
@@ -336,28 +339,24 @@ class _Run:
                     self._send(w, ("task", attempt.index, attempt.task))
 
     def _send(self, worker: _Worker, message: Any) -> None:
-        # `_read_messages` notices the death of a worker.
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-            worker.conn.send(message)
+        assert worker.process.stdin is not None
+        with contextlib.suppress(OSError):  # it has died, as the end of its messages will say
+            send(worker.process.stdin, message)
 
     # ---- collecting
 
-    def _collect(self, stop: Interruption | None, give_up_at: float | None) -> None:
+    def _collect(self, give_up_at: float | None) -> None:
         """Wait for messages of any worker and hand their results to the calls that wait for them."""
-        streams: list[Any] = [w.conn for w in self._workers]
-        streams += [w.output for w in self._workers if not w.silent]
-        # After a request to stop, the wake-up pipe stays readable; waiting on it again would spin.
-        extra = [] if stop is None or stop.requested else [stop.wakeup]
-        readable: list[Any] = wait([*streams, *extra], self._seconds_to_timeout(give_up_at))
-        for w in [w for w in self._workers if w.output in readable]:
-            self._read_output(w)
-        for w in [w for w in self._workers if w.conn in readable]:
-            self._read_messages(w)
+        with contextlib.suppress(queue.Empty):
+            heard = self._heard.get(timeout=self._seconds_to_timeout(give_up_at))
+            while True:
+                self._take(*heard)
+                heard = self._heard.get_nowait()
+        # A slow consumer is not a hang, so check the limits only when no message is waiting.
         now = time.monotonic()
         for w in list(self._workers):
             limit = self._limit(w)
-            # A slow consumer is not a hang, so check the limit only when no message is waiting.
-            if limit is not None and now - w.since > limit and not w.conn.poll():
+            if limit is not None and now - w.since > limit:
                 self._handle_dead_worker(w, "timeout")
 
     def _limit(self, w: _Worker) -> float | None:
@@ -367,30 +366,38 @@ class _Run:
             return self._settings.task_timeout_s
         return self._settings.grace_s if w.ending else None
 
-    def _seconds_to_timeout(self, give_up_at: float | None) -> float | None:
-        """Return the seconds until the first time limit of a worker."""
+    def _seconds_to_timeout(self, give_up_at: float | None) -> float:
+        """Return the seconds until the first time limit of a worker, or the next look at signals."""
         ends = [w.since + limit for w in self._workers if (limit := self._limit(w)) is not None]
         if give_up_at is not None:
             ends.append(give_up_at)
-        return max(0.0, min(ends) - time.monotonic()) + 0.01 if ends else None
+        return min(max(0.0, min(ends, default=math.inf) - time.monotonic()) + 0.01, _TICK_S)
+
+    def wake(self) -> None:
+        """End the wait for messages; safe in a signal handler."""
+        self._heard.put((None, None))
 
     def _read_messages(self, w: _Worker) -> None:
-        while w in self._workers:
-            try:
-                if not w.conn.poll():
-                    return
-                message = w.conn.recv()
-            except (EOFError, OSError):
-                self._handle_dead_worker(w, "crash")
-                return
-            if message[0] == "ready":
-                w.ready = True
-                w.since = time.monotonic()
-                self._failed_starts = 0
-            elif message[0] == "no-start":
-                self._raise_factory_error(w, message[1])
-            else:
-                self._receive_result(w, message[1], message[2])
+        """Pass on what a worker says, in a thread of its own."""
+        assert w.process.stdout is not None
+        with w.process.stdout as stream, contextlib.suppress(EOFError, OSError, pickle.UnpicklingError):
+            while True:
+                self._heard.put((w, pickle.load(stream)))
+        self._heard.put((w, None))
+
+    def _take(self, w: _Worker | None, message: Any) -> None:
+        if w not in self._workers:
+            return
+        if message is None:
+            self._handle_dead_worker(w, "crash")
+        elif message[0] == "ready":
+            w.ready = True
+            w.since = time.monotonic()
+            self._failed_starts = 0
+        elif message[0] == "no-start":
+            self._raise_factory_error(w, message[1])
+        else:
+            self._receive_result(w, message[1], message[2])
 
     def _deliver(self, attempt: _Attempt, result: TaskResult) -> None:
         attempt.call.open -= 1
@@ -417,24 +424,16 @@ class _Run:
         self._send(w, ("finish",))
 
     def _read_output(self, w: _Worker) -> None:
-        """Copy the output of the worker to the log, line by line with its number."""
-        if w.silent:
-            return
-        data = b""
-        with contextlib.suppress(BlockingIOError):
-            while chunk := os.read(w.output.fileno(), 65536):
-                data += chunk
-            w.silent = True
-        *lines, w.partial = (w.partial + data).split(b"\n")
-        self._write_lines(w, lines)
-
-    def _write_lines(self, w: _Worker, lines: list[bytes]) -> None:
-        for line in lines:
-            w.tail.append(line.decode(errors="replace"))
-            if self._log is not None:
-                with contextlib.suppress(OSError):
-                    self._log.write(b"worker %d: %s\n" % (w.number, line))
-            # A failing log must not end the run; a full disk is reported when the run writes its own files.
+        """Copy the output of the worker to the log, line by line with its number, in a thread of its own."""
+        assert w.process.stderr is not None
+        with w.process.stderr as stream:
+            for line in stream:
+                said = line.rstrip(b"\r\n")
+                w.tail.append(said.decode(errors="replace"))
+                if self._log is not None:
+                    # A failing log must not end the run; a full disk is reported when the run writes its own files.
+                    with contextlib.suppress(OSError, ValueError):  # it is closed when a process outlives the pool
+                        self._log.write(b"worker %d: %s\n" % (w.number, said))
 
     # ---- endings
 
@@ -450,7 +449,7 @@ class _Run:
             if self._failed_starts > self._settings.retries:
                 raise WorkerDiedError(
                     f"Workers cannot start: {self._failed_starts} in a row ended before their first task; "
-                    f"the last one {what}. Run `infrablend doctor`." + _quote(w.tail)
+                    f"the last one {what}. Run `infrablend doctor`." + _quote(list(w.tail))
                 )
             return
         if not w.in_flight:
@@ -497,18 +496,14 @@ class _Run:
 
     def _reap(self, w: _Worker, patience_s: float) -> str:
         """Wait for the end of a worker, kill it if it takes too long, and return how it ended."""
-        end = time.monotonic() + patience_s
-        while w.process.poll() is None and time.monotonic() < end:
-            self._read_output(w)  # it may be waiting for us to read
-            time.sleep(0.005)
-        if w.process.poll() is None:
-            _kill(w.process)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            w.process.wait(patience_s)
+        kill_tree(w.process)
         code = w.process.wait()
-        self._read_output(w)
-        if w.partial:
-            self._write_lines(w, [w.partial])
-        w.conn.close()
-        w.output.close()
+        assert w.process.stdin is not None and w.printer is not None
+        with contextlib.suppress(OSError):  # what it has not read
+            w.process.stdin.close()
+        w.printer.join(_LAST_WORDS_S)  # a process that it has started may hold its output open
         if w in self._workers:
             self._workers.remove(w)
         return describe_exit(code)
@@ -520,17 +515,9 @@ class _Run:
             self._reap(w, patience_s=0.0)
 
     def signal_all(self) -> None:
-        """Send SIGKILL to every worker; safe in a signal handler."""
+        """Kill every worker, with the processes that tasks have started; safe in a signal handler."""
         for w in list(self._workers):
-            _kill(w.process)
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    # The whole group: a task may have started processes of its own.
-    if process.poll() is None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.kill()
+            kill_tree(w.process)
 
 
 def _quote(lines: Iterable[str]) -> str:

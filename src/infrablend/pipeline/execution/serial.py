@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Generator, Iterable
 from typing import Any
 
-from infrablend.core.child_process import resident_bytes
+from infrablend.core.operating_system import resident_bytes
 from infrablend.core.tasks import Task, TaskResult, WorkerSpec
 from infrablend.errors import InfraBlendError, Interrupted, RenderError
 from infrablend.pipeline.execution.interrupt import STOPPED, Interruption

@@ -1,6 +1,6 @@
 """The worker process: creates its callable once, runs tasks until told to stop, and leaves nothing behind.
 
-`main` is the whole life of a worker process. It exchanges pickled tuples with the parent over one socket:
+`main` is the whole life of a worker process. It exchanges pickled tuples with the parent, over its stdin and stdout:
 
  parent -> worker   StartMessage; then ("task", index, Task), ("finish",) after the last, ("stop",) to drop what waits
  worker -> parent   ("ready",) or ("no-start", Failure); then ("done", index, ResultMessage) for each task, in order
@@ -12,7 +12,6 @@ end means.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import faulthandler
 import importlib
 import logging
@@ -26,10 +25,10 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
-from typing import Any
+from pathlib import Path
+from typing import IO, Any
 
-from infrablend.core.child_process import die_with_parent, resident_bytes
+from infrablend.core.operating_system import STOP_SIGNALS, die_with_parent, flush_c_output, resident_bytes
 from infrablend.core.tasks import Failure, FailureKind, Task, WorkerSpec
 from infrablend.errors import InfraBlendError, RenderError
 
@@ -107,8 +106,8 @@ def close_callable(work: Callable[[Task], Any]) -> None:
 
 def _ignore_signals() -> None:
     # The parent decides what Ctrl-C means. Repeated after imports that install handlers of their own.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _exit_at_once(code: int) -> None:
@@ -117,20 +116,35 @@ def _exit_at_once(code: int) -> None:
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()
-        ctypes.CDLL(None).fflush(None)
+        flush_c_output()
     os._exit(code)
 
 
-def _read(conn: Connection, inbox: queue.SimpleQueue[tuple[int, Task] | None]) -> None:
-    """Move tasks from the socket to `inbox`, and end the process when the parent is gone.
+def send(pipe: IO[bytes], message: Any) -> None:
+    """Send a message through a pipe."""
+    pickle.dump(message, pipe, pickle.HIGHEST_PROTOCOL)
+    pipe.flush()
 
-    It runs in a thread of its own, so that the parent never blocks on a full socket and its death is noticed during
-    a task.
+
+def _take_pipes() -> tuple[IO[bytes], IO[bytes]]:
+    """Return the pipes from and to the parent; stdin is empty from now on, and what is printed goes to stderr."""
+    pipes = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    with Path(os.devnull).open("rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    os.dup2(2, 1)
+    return pipes
+
+
+def _read(pipe: IO[bytes], inbox: queue.SimpleQueue[tuple[int, Task] | None]) -> None:
+    """Move tasks from the pipe to `inbox`, and end the process when the parent is gone.
+
+    It runs in a thread of its own, so that the parent never blocks on a full pipe and its death is noticed during a
+    task.
     """
     while True:
         try:
-            message = conn.recv()
-        except (EOFError, OSError):
+            message = pickle.load(pipe)
+        except (EOFError, OSError, pickle.UnpicklingError):
             os._exit(1)
         if message[0] == "stop":
             with contextlib.suppress(queue.Empty):
@@ -151,29 +165,28 @@ def perform(work: Callable[[Task], Any], task: Task) -> ResultMessage:
     return ResultMessage(value, failure, time.monotonic() - begun, resident_bytes())
 
 
-def main(fd: int) -> None:
-    """Serve as a worker on the socket with file descriptor `fd`; does not return."""
+def main() -> None:
+    """Serve as a worker of the parent at the other end of stdin and stdout; does not return."""
     _ignore_signals()
     faulthandler.enable()
-    os.set_inheritable(fd, False)
+    orders, answers = _take_pipes()
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
-    conn = Connection(fd)
-    hello: StartMessage = conn.recv()
+    hello: StartMessage = pickle.load(orders)
     if hello.die_with_parent:
         die_with_parent(hello.parent_pid)
     logging.basicConfig(level=hello.log_level, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     inbox: queue.SimpleQueue[tuple[int, Task] | None] = queue.SimpleQueue()
-    threading.Thread(target=_read, args=(conn, inbox), daemon=True, name="inbox").start()
+    threading.Thread(target=_read, args=(orders, inbox), daemon=True, name="inbox").start()
     try:
         work = make_callable(pickle.loads(hello.spec))
     except BaseException as e:
-        conn.send(("no-start", failure_of(e)))
+        send(answers, ("no-start", failure_of(e)))
         _exit_at_once(1)
     _ignore_signals()
-    conn.send(("ready",))
+    send(answers, ("ready",))
     while (item := inbox.get()) is not None:
         index, task = item
-        conn.send(("done", index, perform(work, task)))
+        send(answers, ("done", index, perform(work, task)))
     close_callable(work)
     _exit_at_once(0)
 

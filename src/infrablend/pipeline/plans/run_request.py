@@ -10,7 +10,8 @@ from typing import Any, Literal, get_args
 
 from infrablend.core.addresses import require_known
 from infrablend.core.arguments import require_choice, require_whole
-from infrablend.core.machine import Device, available_cores
+from infrablend.core.machine import Device
+from infrablend.core.operating_system import usable_processors
 from infrablend.core.workspace import Existing, require_existing
 from infrablend.errors import ArgumentError
 from infrablend.formats.read_write import READ_ALL, Reading
@@ -75,7 +76,7 @@ class Execution:
 
         A run that exhausts the memory would swap endlessly.
         """
-        cores = available_cores()
+        cores = len(usable_processors())
         if self.workers is None or self.workers <= cores or self.executor == "ray":  # Ray places them where they fit
             return self.workers or cores
         import psutil

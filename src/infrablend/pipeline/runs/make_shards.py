@@ -16,6 +16,7 @@ from typing import Any
 from infrablend.core.addresses import address_of
 from infrablend.core.files import read_object, sha256_of_json
 from infrablend.core.ledger import Ledger
+from infrablend.core.operating_system import user_id
 from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFiles
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.core.workspace import Existing, Workspace, is_being_written, partial_of, workspace
@@ -113,7 +114,7 @@ def _opened(plan: RunPlan, shards: Sequence[Shard], out: Path) -> Iterator[Shard
         yield ShardedRun(out)
         return
     job = f"{address} {sha256_of_json(plan.key)} {len(shards)} {shards[0]}"
-    name = f"infrablend-{os.getuid()}-{hashlib.sha256(job.encode()).hexdigest()[:16]}"
+    name = f"infrablend-{user_id()}-{hashlib.sha256(job.encode()).hexdigest()[:16]}"
     root = Path(tempfile.gettempdir()) / name
     root.mkdir(mode=0o700, parents=True, exist_ok=True)
     run = ShardedRun(root, Store(address))

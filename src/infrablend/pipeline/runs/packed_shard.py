@@ -17,9 +17,10 @@ from typing import Any
 
 from infrablend.annotation.looseness import Looseness
 from infrablend.core.dataset import ImageRecord, Instance
-from infrablend.core.files import flush, read_regular, replace_atomically, sha256_of, write_json
+from infrablend.core.files import read_regular, replace_atomically, sha256_of, write_json
 from infrablend.core.frame_row import FrameRecord, FrameRow, SceneRow
 from infrablend.core.ledger import Ledger
+from infrablend.core.operating_system import flush_file
 from infrablend.core.run_folder import RunFolder, ShardFiles
 from infrablend.errors import MissingDependencyError, OutputError
 from infrablend.formats.labels.shard_tar import LABEL, SCENE, TarWriter, key_of, label_text
@@ -205,7 +206,7 @@ def pack(
                 facts = {"label_sha256": _sha256(label), "scene_sha256": _sha256(scene)}
                 place: dict[str, int | str] = {**facts, "image_offset": offset, "image_bytes": len(picture)}
                 table.add(FrameRow.from_json(values), image, key, place)
-        flush(table_part)
+        flush_file(table_part)
     counts = {**record["counts"], **looseness.counted(loosened)}
     groups = {c.name: c.supercategory for c in plan.categories}  # for readers, who have no other file with them
     marker = {

@@ -19,7 +19,7 @@ from infrablend.config.modes import recipe_from_json
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of, write_bytes
 from infrablend.core.frame_row import FrameRecord
-from infrablend.core.machine import take_core
+from infrablend.core.operating_system import take_core
 from infrablend.core.output_checks import require_outside_datasets, require_replaceable
 from infrablend.core.rle_masks import Mask
 from infrablend.core.run_folder import RunFolder

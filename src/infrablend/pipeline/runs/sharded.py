@@ -33,8 +33,9 @@ from typing import Any, Literal, get_args
 
 from infrablend import __version__
 from infrablend.core.addresses import address_of
-from infrablend.core.files import DAMAGED, flush, read_object, replace_atomically, write_bytes
+from infrablend.core.files import DAMAGED, read_object, replace_atomically, write_bytes
 from infrablend.core.ledger import LEDGER, Ledger
+from infrablend.core.operating_system import flush_file
 from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFiles
 from infrablend.core.typed_command import recorded_command
 from infrablend.core.workspace import NOTE, is_being_written, partial_of
@@ -353,9 +354,9 @@ class ShardedRun:
         target.marker.unlink(missing_ok=True)
         packed.tar.replace(target.tar)
         packed.table.replace(target.table)
-        flush(self.root)
+        flush_file(self.root)
         packed.marker.replace(target.marker)
-        flush(self.root)
+        flush_file(self.root)
 
 
 def _finished(record: Mapping[str, object]) -> int | None:

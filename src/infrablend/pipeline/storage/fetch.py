@@ -249,7 +249,7 @@ def _link_tree(source: Path, target: Path) -> None:
         except OSError:
             shutil.copy2(file, copy)
 
-    own = {SOURCE_FILE, ".partial", ".replaced"}
+    own = {SOURCE_FILE, ".partial", ".partial.lock", ".replaced"}
     try:
         shutil.copytree(
             source,

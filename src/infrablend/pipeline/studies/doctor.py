@@ -19,6 +19,7 @@ from typing import Literal
 
 from infrablend.core.files import cache_folder, existing_part, free_bytes
 from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
+from infrablend.core.operating_system import memory_folder
 from infrablend.errors import InfraBlendError, MissingDependencyError
 from infrablend.rendering.engine.process import blender_process
 from infrablend.rendering.engine.programs import TODO, VARIABLE, Program, absence, candidates
@@ -141,7 +142,7 @@ def survey(folder: str | Path | None = None) -> Machine:
     folder = Path(folder or ".").absolute()
     temp = Path(tempfile.gettempdir())
     cache = cache_folder()
-    shm = Path("/dev/shm")
+    memory = memory_folder()
     return Machine(
         system=platform.system(),
         architecture=platform.machine(),
@@ -153,7 +154,7 @@ def survey(folder: str | Path | None = None) -> Machine:
         free_bytes={str(folder): _free_bytes(folder)},
         temp_folder=str(temp),
         free_temp_bytes=_free_bytes(temp),
-        free_shm_bytes=_free_bytes(shm) if shm.is_dir() else None,
+        free_shm_bytes=_free_bytes(memory) if memory else None,
         trainer=_ask_trainer(_ASK_TORCH_S),
         cache_folder=str(cache),
         cache_bytes=_bytes_in(cache),
@@ -259,10 +260,10 @@ def _check_space(name: str, folder: str, free: int | None) -> Check:
 
 def _check_shm(free: int | None) -> Check:
     if free is None:
-        found = "/dev/shm is missing or cannot be written"
-        todo = "mount it: worker processes use it"
+        found = "missing or cannot be written"
+        todo = "mount it, see man shm_overview: worker processes use it"
         return Check("shared memory", "warning", found, todo)
-    found = f"{_size(free)} free in /dev/shm"
+    found = f"{_size(free)} free"
     if free < LITTLE_SHM_BYTES:
         return Check("shared memory", "warning", found, "give the container more, e.g. docker run --shm-size=1g")
     return Check("shared memory", "ok", found)

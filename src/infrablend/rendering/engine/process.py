@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from infrablend.assets.model_files import NO_FILE, too_large
 from infrablend.assets.user_model import GroupFacts, ImportJob, write_geometry
-from infrablend.core.child_process import CHILD_BYTES, describe_exit
 from infrablend.core.files import replace_atomically
+from infrablend.core.operating_system import CHILD_BYTES, describe_exit, memory_folder
 from infrablend.core.tasks import Failure, Task
 from infrablend.core.wire import PROTOCOL, Message, ModelFileMessage, Wire
 from infrablend.errors import MissingDependencyError, ModelError, Problem, WorkerDiedError
@@ -56,9 +56,10 @@ class BlenderProcess:
         self.greeting: Message = {}
         ours, theirs = socket.socketpair()
         self._wire = Wire(ours)
-        memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
         # Workers get a TMPDIR in memory that their parent removes, so a killed one leaves nothing behind.
-        self._folder = tempfile.TemporaryDirectory(prefix="infrablend_", dir=os.environ.get("TMPDIR") or memory)
+        self._folder = tempfile.TemporaryDirectory(
+            prefix="infrablend_", dir=os.environ.get("TMPDIR") or memory_folder()
+        )
         self._output = Path(self._folder.name, "output.txt")
         given = {k: v for k, v in os.environ.items() if program.is_python or not k.startswith("PYTHON")}
         with theirs, self._output.open("ab") as output:

@@ -89,10 +89,10 @@ def candidates(wanted: str | None = None) -> Iterator[Program]:
         MissingDependencyError: There is no program of the given path.
     """
     wanted = wanted or os.environ.get(VARIABLE, "")
-    if wanted == OFF:
+    if wanted == OFF or sys.platform == "win32":
         return
     if wanted:
-        path = shutil.which(Path(wanted).expanduser())
+        path: str | None = shutil.which(Path(wanted).expanduser())
         if path is None:
             raise MissingDependencyError(
                 f"Blender: {wanted} is no program; --blender and {VARIABLE} expect the path of a Blender program, of a "
@@ -129,6 +129,8 @@ def absence(wanted: str | None = None) -> tuple[str, str]:
     """Return why `candidates` found nothing, and what to do."""
     if (wanted or os.environ.get(VARIABLE)) == OFF:
         return "Blender is switched off", f"Leave out --blender {OFF} and {VARIABLE}={OFF}"
+    if sys.platform == "win32":
+        return "Blender is not used on Windows", "Use Linux, or the Windows Subsystem for Linux"
     found = (
         "Blender is not there: this Python has no bpy, no environment of `infrablend blender install` was found, and "
         "no program blender on the path"
