@@ -8,6 +8,7 @@ import posixpath
 import re
 import tomllib
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from griffe import Extension, Object
 from mkdocs.config.defaults import MkDocsConfig
@@ -39,7 +40,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         source = "".join(cell["source"])
         parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
     # The first part is the title.
-    parts.insert(1, f"*As a notebook: [`{Path(NOTEBOOK).name}`]({Path(NOTEBOOK).name}){{ download }}.*")
+    links = f"[`{Path(NOTEBOOK).name}`]({Path(NOTEBOOK).name}){{ download }}"
+    if config.repo_url:
+        slug = urlsplit(config.repo_url).path.strip("/")
+        links += f", [in Colab](https://colab.research.google.com/github/{slug}/blob/main/docs/{NOTEBOOK})"
+    parts.insert(1, f"*As a notebook: {links}.*")
     files.append(File.generated(config, NOTEBOOK.replace(".ipynb", ".md"), content="\n\n".join(parts)))
     return files
 

@@ -142,3 +142,28 @@ def test_the_demo_ends_with_the_path_of_its_picture_alone() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.splitlines()[-1] == "build/demo-test/contact_sheet.png"
     assert (ROOT / "build" / "demo-test" / "contact_sheet.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_actions_are_pinned_by_hash_and_name_their_version() -> None:
+    """The tag of an action can be moved to other code, its hash cannot; Dependabot renews both."""
+    used = {
+        (line.strip(), path.name)
+        for path in (ROOT / ".github" / "workflows").glob("*.yml")
+        for line in re.findall(r"uses: (.+)", path.read_text("utf-8"))
+    }
+    assert len(used) > 5
+    pinned = [re.fullmatch(r"([\w-]+/[\w-]+)@([0-9a-f]{40}) # (v\d+\.\d+\.\d+)", line) for line, _ in used]
+    assert None not in pinned, used
+    names = {m[1] for m in pinned if m}
+    assert len({m.groups() for m in pinned if m}) == len(names), "an action in two versions"
+
+
+def test_the_changelog_has_the_headings_that_tools_read() -> None:
+    from infrablend import __version__
+
+    headings = re.findall(r"^## (.+)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    versions = [re.fullmatch(r"\[(\d+\.\d+\.\d+)\] - \d{4}-\d{2}-\d{2}", h) for h in headings if h != "[Unreleased]"]
+    assert headings[0] == "[Unreleased]" and all(versions)
+    found = [v[1] for v in versions if v]
+    assert found[0] == __version__
+    assert found == sorted(found, key=lambda v: tuple(map(int, v.split("."))), reverse=True)

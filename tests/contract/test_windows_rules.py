@@ -21,7 +21,7 @@ from tests.samples import picture
 RULES = Path(__file__).resolve().parents[1] / "windows_rules"
 PACKAGES = Path(__file__).resolve().parents[2] / "src"
 WAIT_S = 120
-"""Far above what any machine needs."""
+"""Far above what any command needs."""
 
 # Names that Windows cannot have, or takes for another one.
 NAMES = ("a.png", "A.png", "con.png", "NUL.tar.png", "what?.png", "b:c.png", "day/end ./x.png", "day/dots../y.png")
@@ -87,7 +87,7 @@ def digests(folder: Path) -> dict[str, str]:
     }
 
 
-GENERATE = ("generate", "hit-uav-drone", "--data", "../data", "--workers", "2", "--set", "configurations=3")
+GENERATE = ("generate", "hit-uav-drone", "--data", "../data", "--workers", "2", "--set", "configurations=2")
 
 
 def generated(system: System) -> None:
@@ -96,24 +96,30 @@ def generated(system: System) -> None:
 
 @pytest.fixture(scope="module")
 def runs(both) -> dict[str, System]:
-    """The systems, each with a run of twelve frames in `run`."""
+    """The systems, each with a run of eight frames in `run`."""
     on_both(both, generated)
     return both
 
 
 def test_generate_with_two_workers(runs) -> None:
     linux, windows = (hashes(system.folder / "run") for system in runs.values())
-    assert len([name for name in linux if name.startswith("images/")]) >= 12
+    assert len([name for name in linux if name.startswith("images/")]) >= 8
     assert windows == linux
     assert [p.name for system in runs.values() for p in system.folder.glob(".run*")] == []
     assert [list((system.folder / "tmp").iterdir()) for system in runs.values()] == [[], []]
 
 
-def killed_and_resumed(system: System) -> dict[str, str]:
+def same_frames(found: Path, expected: Path) -> None:
+    """Check that two runs are the same but for the record of how they were made, and the page that shows it."""
+    one, other = hashes(found), hashes(expected)
+    assert {**one, "run.json": "", "report.html": ""} == {**other, "run.json": "", "report.html": ""}
+
+
+def test_resume_after_a_kill(runs) -> None:
+    system = runs["windows"]
     process = system.start(*GENERATE, "--out", "killed")
-    parts = system.folder / ".killed.partial" / "images"
     end = time.monotonic() + WAIT_S
-    while not list(parts.rglob("*.jpg")):
+    while not list((system.folder / ".killed.partial" / "images").rglob("*.jpg")):
         assert time.monotonic() < end and process.poll() is None
         time.sleep(0.01)
     workers = psutil.Process(process.pid).children(recursive=True)
@@ -122,28 +128,15 @@ def killed_and_resumed(system: System) -> dict[str, str]:
     assert workers and not psutil.wait_procs(workers, timeout=WAIT_S)[1]
     assert (system.folder / ".killed.partial").is_dir()
     system.run(*GENERATE, "--out", "killed", "--resume")
-    return hashes(system.folder / "killed")
+    same_frames(system.folder / "killed", runs["linux"].folder / "run")
 
 
-def test_resume_after_a_kill(runs) -> None:
-    expected = hashes(runs["linux"].folder / "run")
-    for found in on_both(runs, killed_and_resumed):
-        # What the command line was is part of the record.
-        assert {**found, "run.json": "", "report.html": ""} == {**expected, "run.json": "", "report.html": ""}
-    linux, windows = (hashes(system.folder / "killed") for system in runs.values())
-    assert windows == linux
-
-
-def merged(system: System) -> dict[str, str]:
+def test_shards_and_merge(runs) -> None:
+    system = runs["windows"]
     for number in (1, 2):
         system.run(*GENERATE, "--out", "shards", "--shard", f"{number}/2")
     system.run("merge", "shards", "merged")
-    return hashes(system.folder / "merged")
-
-
-def test_shards_and_merge(both) -> None:
-    linux, windows = on_both(both, merged)
-    assert windows == linux
+    same_frames(system.folder / "merged", runs["linux"].folder / "run")
 
 
 def pages(system: System) -> dict[str, str]:
@@ -197,7 +190,8 @@ def test_the_studio_starts(runs) -> None:
     try:
         address = process.stdout.readline().strip()
         assert address.startswith("http://127.0.0.1:"), process.communicate()
-        with urllib.request.urlopen(address, timeout=WAIT_S) as answer:
+        keeps_token = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+        with keeps_token.open(address, timeout=WAIT_S) as answer:
             assert answer.status == 200
     finally:
         process.kill()

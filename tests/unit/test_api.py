@@ -108,6 +108,7 @@ CALLS: dict[str, tuple[Callable[[Path], object], type[InfraBlendError], str]] = 
     "ids of categories": (lambda p: loose.WriteSettings(category_ids="x"), ArgumentError, "^category_ids"),
     "ignored regions": (lambda p: loose.WriteSettings(dont_care="x"), ArgumentError, "^dont_care"),
     "a layout": (lambda p: loose.make_world(p / "out", 1, layout="x"), ArgumentError, "^layout: found 'x'"),
+    "an engine": (lambda p: loose.make_world(p / "out", 1, engine="x"), ArgumentError, "^engine: .*blender, lattice"),
     "something to draw": (
         lambda p: loose.preview(p, p / "a.png", draw=("x",)),
         ArgumentError,

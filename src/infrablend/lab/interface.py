@@ -21,7 +21,7 @@ from infrablend.lab.training.train import TrainPlan, TrainReport, plan_training,
 from infrablend.lab.training.train_request import DEFAULT_TRAINING, TrainRequest
 from infrablend.lab.world import world_dataset
 from infrablend.lab.world.world_dataset import WorldRequest
-from infrablend.lab.world.world_frames import Layout, Survey
+from infrablend.lab.world.world_frames import Engine, Layout, Survey
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution
 from infrablend.pipeline.runs.record import RecordedRun
 
@@ -165,15 +165,16 @@ def realism_page(report: RealismReport, out: str | Path) -> Path:
 
 def make_world(
     out: str | Path, count: int, seed: int = 0, *, layout: Layout = "hit-uav", survey: Survey | None = None,
-    workers: int | None = None, overwrite: bool = False, on_progress: OnProgress | None = None,
+    engine: Engine = "blender", workers: int | None = None, overwrite: bool = False,
+    on_progress: OnProgress | None = None,
 ) -> Path:  # fmt: skip
     """Render a background dataset of a virtual thermal world, with exact labels and without any download.
 
     The layout is that of HIT-UAV (640x512, a town) or MONET (800x600, airfields and dirt roads, telemetry in the JSON,
     some of it lost), the town in 16-bit centikelvin (`radiometric`), a flight in radiometric JPEG files (`dji`,
     `flir`), or one over a single scene (`flight`): a smooth course, or the strips of a `survey`. It always renders on
-    the CPU.
+    the CPU: in Blender, or with the engine `lattice` without it, in other pixels.
     """
-    request = WorldRequest(count, seed, layout, survey)
+    request = WorldRequest(count, seed, layout, survey, engine)
     world_dataset.make_world(Path(out), request, Execution(workers).worker_count(), on_progress, overwrite=overwrite)
     return Path(out)

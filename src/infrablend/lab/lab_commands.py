@@ -442,6 +442,10 @@ def world(
         float, typer.Option(metavar="DEGREES", help="With --overlap: by how much the stated yaw is too large.")
     ] = 0.0,
     walking: Annotated[bool, typer.Option("--walking", help="With --overlap: people walk.")] = False,
+    engine: Annotated[
+        Literal["blender", "lattice"],
+        typer.Option(help="What draws the world; lattice needs no Blender and gives other pixels."),
+    ] = "blender",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier world in DIR.")] = False,
     workers: WorkersOption = None,
 ) -> None:
@@ -453,7 +457,7 @@ def world(
     survey = None if overlap is None else Survey(overlap, yaw_error, walking)
     with shown_progress(session, "rendering") as on_progress:
         folder = api.make_world(
-            out, count, seed, layout=layout, survey=survey, workers=workers, overwrite=overwrite,
-            on_progress=on_progress,
+            out, count, seed, layout=layout, survey=survey, engine=engine, workers=workers,
+            overwrite=overwrite, on_progress=on_progress,
         )  # fmt: skip
     print_result(str(folder))

@@ -1,4 +1,4 @@
-"""The virtual world rendered by Blender: pixels, labels and files agree and repeat."""
+"""The virtual world rendered by Blender and without it: pixels, labels and files agree and repeat."""
 
 from __future__ import annotations
 
@@ -29,16 +29,14 @@ from infrablend.lab.world.world_dataset import FrameSource, WorldRequest, write_
 from infrablend.lab.world.world_frames import FrameFacts
 from tests.coarse_world import coarse_worlds
 
-pytestmark = pytest.mark.blender
-
-pytestmark = pytest.mark.blender
+ENGINES = [pytest.param("blender", marks=pytest.mark.blender), "lattice"]
 
 
-def in_this_process(seed: int) -> FrameSource:
+def in_this_process(request: WorldRequest) -> FrameSource:
     from infrablend.lab.world.blender_world import WorldWorker
 
     def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
-        worker = WorldWorker(seed, folder)
+        worker = WorldWorker(request.seed, folder, request.engine)
         try:
             for frame in frames:
                 yield worker(Task(frame.name, frame))
@@ -50,7 +48,7 @@ def in_this_process(seed: int) -> FrameSource:
 
 def render(out: Path, request: WorldRequest, progress: Callable[[int, int], None] | None = None) -> None:
     with coarse_worlds():
-        write_world(out, request, in_this_process(request.seed), progress)
+        write_world(out, request, in_this_process(request), progress)
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +62,11 @@ def someone(x: float, y: float) -> Person:
     return Person(x, y, 0.5, 1.75, 1.1, "walk", 0.6, 0.2, 303.0, 300.0, 299.0, 299.0, 0.0)
 
 
-def test_pixels_and_boxes_agree_and_walls_hide(bare):
+@pytest.mark.parametrize("engine", ENGINES)
+def test_pixels_and_boxes_agree_and_walls_hide(bare, engine):
     from infrablend.lab.world.blender_world import WorldRenderer
 
-    with closing(WorldRenderer()) as renderer:
+    with closing(WorldRenderer(engine)) as renderer:
         empty, labels = renderer.render(bare)
         assert not labels
         # The plane shows exactly the temperatures computed for it.
@@ -88,14 +87,15 @@ def test_pixels_and_boxes_agree_and_walls_hide(bare):
     assert np.abs(seen.box_xyxy - pixels).max() <= 1.0
 
 
-def test_the_pass_of_surfaces_shows_what_stands_where(bare):
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_pass_of_surfaces_shows_what_stands_where(bare, engine):
     from infrablend.lab.world.blender_world import WorldRenderer
 
     tree = Tree("crown", 0, -6.0, 4.0, 0.0, 7.0, 3.0, 280.0, 0.0)
     lane = Road(0.0, -5.0, 0.0, 0.0, 3.0, 0.0, 2, "asphalt", False)
     wall = Building(5.0, 3.0, 0.0, 6.0, 4.0, 4.0, "flat", 270.0, 275.0, 275.0, 0.0, 0.0, 1)
     scene = replace(bare, people=(someone(0.0, 0.0),), trees=(tree,), roads=(lane,), buildings=(wall,))
-    with closing(WorldRenderer()) as renderer:
+    with closing(WorldRenderer(engine)) as renderer:
         kelvin, kinds = renderer.render_surfaces(scene)
         same, labels = renderer.render(scene)
     assert np.array_equal(kelvin, same) and kinds.shape == kelvin.shape
@@ -112,9 +112,10 @@ def test_the_pass_of_surfaces_shows_what_stands_where(bare):
     assert kind_at(0.0, -5.0) == "road" and kind_at(0.0, 4.5) == "grass" and kind_at(5.0, 3.0, 4.0) == "structure"
 
 
-def test_dataset_reads_back_and_repeats(tmp_path):
+@pytest.mark.parametrize("engine", ENGINES)
+def test_dataset_reads_back_and_repeats(tmp_path, engine):
     done: list[tuple[int, int]] = []
-    request = WorldRequest(2, 3)
+    request = WorldRequest(2, 3, engine=engine)
     render(tmp_path / "a", request, progress=lambda a, b: done.append((a, b)))
     render(tmp_path / "b", request)
     assert done == [(1, 2), (2, 2)]
@@ -143,9 +144,30 @@ def test_dataset_reads_back_and_repeats(tmp_path):
             assert 0 <= x0 < x1 <= 640 and 0 <= y0 < y1 <= 512
             assert instance.corners_xy is not None
     with pytest.raises(OutputError, match="not"):
-        render(tmp_path / "a", WorldRequest(1))
+        render(tmp_path / "a", WorldRequest(1, engine=engine))
 
 
+@pytest.mark.blender
+def test_both_engines_show_the_same_scenes(tmp_path):
+    """Blender's rays fall anywhere in a pixel, the lattice's in its middle, and pass no light on: edges differ."""
+    from infrablend.lab.world.blender_world import WorldRenderer
+
+    plan = sample_world(stream(1, "engines"), 60, 60, "day", "parking")
+    with closing(WorldRenderer()) as first, closing(WorldRenderer("lattice")) as second:
+        traced, drawn = first.render(plan), second.render(plan)
+    difference = drawn[0] - traced[0]
+    on_things = np.abs(difference) > 0.01  # the ground is the same
+    assert 0.2 < np.mean(on_things) < 0.5
+    assert abs(np.mean(difference[on_things])) < 0.2 and np.mean(np.abs(difference) > 2) < 0.05
+    assert len(traced[1]) == len(drawn[1]) > 3
+    for one, other in zip(traced[1], drawn[1], strict=True):
+        assert (one.category, one.dropped) == (other.category, other.dropped)
+        assert abs(one.visibility - other.visibility) < 0.05
+        if one.box_xyxy is not None:
+            assert np.abs(one.box_xyxy - other.box_xyxy).max() <= 1.0
+
+
+@pytest.mark.blender
 def test_a_flight_renders_its_scene_once_and_tracks_what_stands_in_it(tmp_path, monkeypatch):
     from infrablend.lab.world.blender_world import WorldRenderer
 
@@ -176,10 +198,11 @@ def test_a_flight_renders_its_scene_once_and_tracks_what_stands_in_it(tmp_path, 
         assert min(np.corrcoef(first.ravel(), other.ravel())[0, 1] for other in (second, third)) > 0.8
 
 
-def test_stopped_command_leaves_nothing(tmp_path):
+@pytest.mark.parametrize("engine", ENGINES)
+def test_stopped_command_leaves_nothing(tmp_path, engine):
     def stop(done: int, count: int) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        render(tmp_path / "out", WorldRequest(2), progress=stop)
+        render(tmp_path / "out", WorldRequest(2, engine=engine), progress=stop)
     assert not (tmp_path / "out").exists()

@@ -380,9 +380,10 @@ def test_world(api, capsys):
     args, kwargs = api.calls["make_world"]
     assert args == (Path("w"), 4, 7)
     assert callable(kwargs.pop("on_progress"))
-    assert kwargs == {"layout": "hit-uav", "survey": None, "workers": None, "overwrite": False}
-    assert main(["world", "--out", "w", "--layout", "monet"]) == 0
+    assert kwargs == {"layout": "hit-uav", "survey": None, "engine": "blender", "workers": None, "overwrite": False}
+    assert main(["world", "--out", "w", "--layout", "monet", "--engine", "lattice"]) == 0
     assert api.calls["make_world"][1]["layout"] == "monet"
+    assert api.calls["make_world"][1]["engine"] == "lattice"
     survey = ["--layout", "flight", "--overlap", "0.7", "--yaw-error", "10", "--walking"]
     assert main(["world", "--out", "w", *survey]) == 0
     assert api.calls["make_world"][1]["survey"] == Survey(0.7, 10.0, walking=True)

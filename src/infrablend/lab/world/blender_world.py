@@ -1,11 +1,13 @@
-"""Has Blender render plans of the virtual world: temperatures per pixel and labels.
+"""Renders plans of the virtual world, by Blender or without it: temperatures per pixel and labels.
 
 The scene is rendered at twice the resolution of the frame, so the object ids have four samples per pixel.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +20,16 @@ from infrablend.core.operating_system import take_core
 from infrablend.core.surface_kinds import SURFACES
 from infrablend.core.tasks import Task
 from infrablend.lab.world.buildings import building
-from infrablend.lab.world.fixtures import TREE_KINDS, furniture, tree_matrix, tree_prototype
+from infrablend.lab.world.fixtures import TREE_KINDS, Tree, furniture, tree_matrix, tree_prototype
 from infrablend.lab.world.frame_files import FinishedFrame, Label, VisibleSamples, label_object, make_frame
-from infrablend.lab.world.ground import ground_kelvin, ground_surfaces
+from infrablend.lab.world.ground import Field, ground_kelvin, ground_surfaces
+from infrablend.lab.world.lattice_world import Body, draw_bodies
 from infrablend.lab.world.people import cycle, person
 from infrablend.lab.world.scene_plan import WorldPlan
 from infrablend.lab.world.thermal_surfaces import Surface, placed
 from infrablend.lab.world.vehicles import vehicle
 from infrablend.lab.world.world_flight import Flight, begin_flight, flight_frame
+from infrablend.lab.world.world_frames import Engine
 from infrablend.lab.world.world_survey import SurveyFlight, begin_survey, survey_frame
 from infrablend.rendering.engine.process import BlenderProcess
 from infrablend.rendering.engine.programs import find_blender
@@ -42,21 +46,23 @@ _Labelled = tuple[str, FloatArray, IntArray]
 
 
 class WorldRenderer:
-    """Renderer of plans, one after the other, with a Blender of its own."""
+    """Renderer of plans, one after the other, with a Blender of its own or by the lattice, which needs none."""
 
-    def __init__(self) -> None:
-        """Start Blender.
+    def __init__(self, engine: Engine = "blender") -> None:
+        """Start Blender if it is to render.
 
         Raises:
             MissingDependencyError: There is none.
         """
-        self._process = BlenderProcess(find_blender())
-        self._process.open("world", "cpu")
+        self._process = BlenderProcess(find_blender()) if engine == "blender" else None
+        if self._process is not None:
+            self._process.open("world", "cpu")
         self._sent: set[str] = set()  # prototypes of trees that Blender has
 
     def close(self) -> None:
         """End Blender's process."""
-        self._process.close()
+        if self._process is not None:
+            self._process.close()
 
     def render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], list[Label]]:
         """Return the (h, w) float32 temperatures of a frame in kelvin, and a label for every thing with a class."""
@@ -80,29 +86,39 @@ class WorldRenderer:
     def _render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], NDArray[np.int32], list[_Labelled]]:
         """Return temperatures, the number of the thing at each sample (see `_things`), and the labelled things."""
         labelled, things = _things(plan)
+        ground = ground_kelvin(plan, OVERSAMPLE)
+        if self._process is None:
+            kelvin, ids = draw_bodies(plan, ground, itertools.chain(things, _tree_bodies(plan)), OVERSAMPLE)
+        else:
+            kelvin, ids = self._render_in_blender(self._process, plan, ground, things)
+        w, h = plan.camera.size_wh
+        frame = kelvin.reshape(h, OVERSAMPLE, w, OVERSAMPLE).mean(axis=(1, 3), dtype=np.float32)
+        return np.asarray(frame, np.float32), ids, labelled
+
+    def _render_in_blender(
+        self, process: BlenderProcess, plan: WorldPlan, ground: Field, things: Sequence[Body]
+    ) -> tuple[Field, NDArray[np.int32]]:
+        """Return the temperature in kelvin and the number of the thing at each sample, see `draw_bodies`."""
         prototypes, copies = self._trees(plan)
         camera = plan.camera
         job = {
             "camera": camera_message(camera, (1.0, 10 * camera.distance_m)),
             "oversample": OVERSAMPLE,
             "samples": SAMPLES,
-            "ground": ground_kelvin(plan, OVERSAMPLE),
+            "ground": ground,
             "reach_m": 4 * camera.distance_m,
-            "things": things,
+            "things": [{**_message(t.surface, t.vertices_m), "index": t.index} for t in things],
             "prototypes": prototypes,
             "copies": copies,
             "air_k": plan.air_k,
             "sky_drop_k": plan.sky_drop_k,
             "sun": plan.sun if plan.sun is not None else (0.0, 0.0, -1.0),
         }
-        self._process.ask("render", job)
+        process.ask("render", job)
         self._sent |= prototypes.keys()
-        channels = self._process.channels()
+        channels = process.channels()
         ids = np.round(channel(channels, _WHAT, ".indexob.x")).astype(np.int32)
-        kelvin = channel(channels, _WHAT, ".combined.r")
-        w, h = camera.size_wh
-        frame = kelvin.reshape(h, OVERSAMPLE, w, OVERSAMPLE).mean(axis=(1, 3), dtype=np.float32)
-        return np.asarray(frame, np.float32), ids, labelled
+        return channel(channels, _WHAT, ".combined.r"), ids
 
     def _trees(self, plan: WorldPlan) -> tuple[dict[str, object], list[dict[str, object]]]:
         """Return the prototypes that Blender does not have yet, and the trees, which are copies of prototypes."""
@@ -114,14 +130,30 @@ class WorldRenderer:
             if name not in self._sent and name not in prototypes:
                 surface = tree_prototype(t.kind, number)
                 prototypes[name] = _message(surface, surface.vertices_m)
-            index = _OTHERS + SURFACES.index("shrub" if t.kind == "shrub" else "tree")
             matrix = tree_matrix(t)
-            copies.append({"name": name, "matrix": matrix, "kelvin": t.kelvin, "sun": t.solar_k, "index": index})
+            copies.append(
+                {"name": name, "matrix": matrix, "kelvin": t.kelvin, "sun": t.solar_k, "index": _tree_index(t)}
+            )
         return prototypes, copies
 
 
-def _things(plan: WorldPlan) -> tuple[list[_Labelled], list[dict[str, object]]]:
-    """Return class, world vertices and triangles of the labelled things, in id order from 1; and all as messages.
+def _tree_index(tree: Tree) -> int:
+    return _OTHERS + SURFACES.index("shrub" if tree.kind == "shrub" else "tree")
+
+
+def _tree_bodies(plan: WorldPlan) -> Iterator[Body]:
+    for t in plan.trees:
+        surface = _prototype(t.kind, t.prototype % TREE_KINDS[t.kind])
+        matrix = tree_matrix(t)
+        vertices = surface.vertices_m @ matrix[:3, :3].T + matrix[:3, 3]
+        yield Body(surface, vertices, _tree_index(t), t.kelvin, t.solar_k)
+
+
+_prototype = cache(tree_prototype)
+
+
+def _things(plan: WorldPlan) -> tuple[list[_Labelled], list[Body]]:
+    """Return class, world vertices and triangles of the labelled things, in id order from 1; and all as bodies.
 
     The number of each of the others is `_OTHERS` and that of its kind of surface.
     """
@@ -131,15 +163,15 @@ def _things(plan: WorldPlan) -> tuple[list[_Labelled], list[dict[str, object]]]:
     others: list[tuple[Surface, Any]] = [(building(b), b) for b in plan.buildings]
     others += [(furniture(f), f) for f in plan.furniture]
     labelled: list[_Labelled] = []
-    messages = []
+    bodies = []
     for surface, thing in classed:
         vertices = placed(surface, thing.x_m, thing.y_m, thing.heading_rad)
         labelled.append((thing.category, vertices, surface.triangles))
-        messages.append({**_message(surface, vertices), "index": len(labelled)})
+        bodies.append(Body(surface, vertices, len(labelled)))
     for surface, other in others:
         vertices = placed(surface, other.x_m, other.y_m, other.heading_rad)
-        messages.append({**_message(surface, vertices), "index": _OTHERS + SURFACES.index("structure")})
-    return labelled, messages
+        bodies.append(Body(surface, vertices, _OTHERS + SURFACES.index("structure")))
+    return labelled, bodies
 
 
 def _message(surface: Surface, vertices_m: FloatArray) -> dict[str, object]:
@@ -164,13 +196,13 @@ def _label(
 
 
 class WorldWorker:
-    """Renders frames of one virtual dataset, with a Blender of its own."""
+    """Renders frames of one virtual dataset, see `WorldRenderer`."""
 
-    def __init__(self, seed: int, folder: Path) -> None:
-        """Start Blender; images go to `folder`/<split>/."""
+    def __init__(self, seed: int, folder: Path, engine: Engine = "blender") -> None:
+        """Start Blender if it is to render; images go to `folder`/<split>/."""
         self._seed = seed
         self._folder = folder
-        self._renderer = WorldRenderer()
+        self._renderer = WorldRenderer(engine)
         self._flight: Flight | None = None
         self._survey: SurveyFlight | None = None
 
@@ -192,6 +224,6 @@ class WorldWorker:
 
 
 def make_world_worker(settings: Mapping[str, Any]) -> WorldWorker:
-    """Create a worker from `seed` and `folder`."""
+    """Create a worker from `seed`, `folder` and `engine`."""
     take_core()
-    return WorldWorker(settings["seed"], Path(settings["folder"]))
+    return WorldWorker(settings["seed"], Path(settings["folder"]), settings["engine"])

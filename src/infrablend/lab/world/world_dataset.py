@@ -29,7 +29,7 @@ from infrablend.formats.pictures.images import png_bytes
 from infrablend.formats.published import hit_uav, monet
 from infrablend.lab.world.frame_files import FinishedFrame
 from infrablend.lab.world.rjpeg_writing import MAKERS
-from infrablend.lab.world.world_frames import MONET_CATEGORIES, FrameFacts, Layout, Survey, plan_frames
+from infrablend.lab.world.world_frames import MONET_CATEGORIES, Engine, FrameFacts, Layout, Survey, plan_frames
 from infrablend.pipeline.execution.process_pool import PoolSettings, ProcessPool
 
 # Renders the given frames, writes their images below the given folder, and yields them in any order.
@@ -58,18 +58,21 @@ class WorldRequest:
             people, cars and bicycles in MOTChallenge's layout, and telemetry in `metadata.csv`.
         survey: For `flight`: parallel strips with overlap, in COCO's layout with positions and times; None for a
             smooth course of 25 frames per second.
+        engine: What draws it: `blender`, or `lattice`, which needs no Blender and gives other pixels.
 
     Raises:
-        ArgumentError: There is no such layout, or another one than `flight` has a survey.
+        ArgumentError: There is no such layout or engine, or another layout than `flight` has a survey.
     """
 
     count: int
     seed: int = 0
     layout: Layout = "hit-uav"
     survey: Survey | None = None
+    engine: Engine = "blender"
 
     def __post_init__(self) -> None:
         require_choice("layout", self.layout, get_args(Layout))
+        require_choice("engine", self.engine, get_args(Engine))
         if self.survey is not None and self.layout != "flight":
             raise ArgumentError(f"survey: found layout {self.layout}, expected flight, which alone has strips")
 
@@ -104,7 +107,7 @@ def write_world(
         ordered = [finished[f.number] for f in frames]
         _write(space.folder, request, [one.image for one in ordered])
         shutil.rmtree(pictures)  # the dataset has links to them
-        space.finish({"seed": request.seed, "frames": [one.facts for one in ordered]})
+        space.finish({"seed": request.seed, "engine": request.engine, "frames": [one.facts for one in ordered]})
 
 
 def _write(out: Path, request: WorldRequest, images: Sequence[ImageRecord]) -> None:
@@ -145,7 +148,7 @@ def make_world(
     """
 
     def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
-        spec = WorkerSpec(WORKER, {"seed": request.seed, "folder": str(folder)})
+        spec = WorkerSpec(WORKER, {"seed": request.seed, "folder": str(folder), "engine": request.engine})
         # The scene below a flight is rendered once, which takes longer than cutting hundreds of frames from it.
         most = 1 if request.layout == "flight" else len(frames)
         pool = ProcessPool(spec, PoolSettings(workers=max(1, min(workers, most))))

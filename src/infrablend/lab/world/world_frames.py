@@ -18,6 +18,7 @@ from infrablend.lab.world.scene_plan import PlaceKind
 from infrablend.lab.world.setting import SIZE_WH
 
 Layout = Literal["hit-uav", "monet", "radiometric", "dji", "flir", "flight"]
+Engine = Literal["blender", "lattice"]
 
 PITCHES_DEG = (30, 40, 50, 60, 70, 80, 90)
 ALTITUDES_M = (60, 70, 80, 90, 100, 110, 120, 130)

@@ -212,7 +212,7 @@ def _check_blenders(m: Machine) -> list[Check]:
     """Return the checks of the Blender that is used, of its devices, and of others."""
     if not m.blenders:
         found, todo = absence()
-        use = "`quality: paper`, bare metal, 3D files of your own and the virtual world need it"
+        use = "`quality: paper`, bare metal, 3D files of your own and `world` without `--engine lattice` need it"
         return [Check("Blender", "warning", found, f"{use}. {todo}")]
     first, *others = m.blenders
     if first.version is None:
