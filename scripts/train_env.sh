@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Adds what training needs to .venv: Ultralytics (AGPL-3.0, no part of InfraBlend) and torch, the extra `train`.
+# Adds what training needs to .venv: Ultralytics (AGPL-3.0, no part of InfraBlend), YOLOX and torch, the extras `train`
+# and `train-yolox`.
 # A second run does nothing until a requirement file changes. Needs .venv (make setup).
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -33,6 +34,8 @@ then
   say "no CPU build of torch is available (see $log): installing the registry's default build"
   "${install[@]}" -r requirements/torch.txt >>"$log" 2>&1 || { tail -n 5 "$log" >&2; stop "$registry"; }
 fi
+# pixeltable-yolox 0.4.3 names a plugin of mkdocstrings that it does not contain, which would end `make docs`.
+sed -i.bak '/^\[mkdocstrings/,/^$/d' .venv/lib/python*/site-packages/pixeltable_yolox-*.dist-info/entry_points.txt
 # Ultralytics and its `yolo` import torchvision. The registry has no CPU build of it for Linux, and the CUDA one does not
 # work with torch's CPU build; the stand-in has the one operator that detection needs.
 if ! .venv/bin/python -W ignore -c 'import torchvision' 2>>"$log"; then

@@ -75,6 +75,13 @@ def ultralytics() -> None:
 
 
 @pytest.fixture(scope="session")
+def yolox() -> None:
+    """Skip the test where YOLOX is not installed; fail it where it should be."""
+    if find_spec("yolox") is None:
+        _skip_or_fail(f"{NEEDS} YOLOX: run `make train`, which first shows the download size")
+
+
+@pytest.fixture(scope="session")
 def tools_python() -> Path:
     """Return the Python of .venv-tools, which has libraries that load datasets; skip or fail the test without it."""
     python = ROOT / ".venv-tools" / "bin" / "python"

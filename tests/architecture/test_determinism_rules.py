@@ -39,7 +39,7 @@ ALLOWED: dict[str, set[str]] = {
     "studio/guard.py": {"secrets"},  # the token of a page's address, which must not be guessed
     "pipeline/storage/fetch.py": {"time.gmtime"},  # when a dataset was downloaded
     # Ultralytics draws from the global generators: the trainer's own process seeds them, from seed and epoch.
-    "lab/training/trainer.py": {"random", "np.random.seed"},
+    "lab/training/training_job.py": {"random", "np.random.seed"},
 }
 
 

@@ -1,4 +1,4 @@
-"""The detections to evaluate: from weights that are run on the images, or from a file."""
+"""The detections to evaluate: from a detector that is run on the images, or from a file."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from infrablend.core.dataset import Category, ImageRecord
-from infrablend.core.workspace import unfinished
 from infrablend.detection import predict
-from infrablend.detection.detections import MAX_DETECTIONS, PREDICTIONS, TASKS, Predictions, Task, read_predictions
-from infrablend.detection.scale import ONNX_WEIGHTS, WEIGHTS
+from infrablend.detection.detections import MAX_DETECTIONS, TASKS, Predictions, Task, read_predictions
+from infrablend.detection.detector_file import file_of
+from infrablend.detection.finder import Finder, load_finder, search_pictures
 from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, ModelError, Problem
 
@@ -49,12 +49,18 @@ class DetectionSource:
         self._path = path
         self._saved: Predictions | None = None
         self._detector: predict.Detector | None = None
+        self._device = device
+        self._network: Finder | None = None
         try:
             file = file_of(path)
             if file.suffix == ".json":
                 self._saved = read_predictions(file, images, categories)
                 self.classes = self._saved.classes
                 self.task = self._saved.task
+            elif file.suffix.lower() == ".onnx":
+                self._network = load_finder(file, device=device)
+                self.classes = self._network.classes
+                self.task = self._network.task
             else:
                 self._detector = predict.load_detector(file, device)
                 self.classes = self._detector.classes
@@ -63,12 +69,12 @@ class DetectionSource:
             problems += error.problems
 
     @property
-    def is_saved(self) -> bool:
-        """Whether these are saved detections, of which there are no others."""
-        return self._saved is not None
+    def is_fixed(self) -> bool:
+        """Whether pictures cannot be changed on their way into the detector: saved detections, and ONNX files."""
+        return self._saved is not None or self._network is not None
 
     def check(self, images: Sequence[ImageRecord], problems: list[Problem]) -> None:
-        """Check that saved detections fit these images, or that a detector can read the images; append problems."""
+        """Check that saved detections fit these images, or that weights can read the images; append problems."""
         if self._saved is not None:
             self._saved = _of_images(self._saved, images, self._path, problems)
         elif self._detector is not None:
@@ -92,30 +98,19 @@ class DetectionSource:
                 found = f"--image-size {image_size} has no effect on saved detections"
                 problems.append(Problem(self.name, "image-size-unused", found, severity="warning"))
             return self._saved
+        if self._network is not None:
+            network = self._network
+            if image_size is not None:
+                network = load_finder(file_of(self._path), device=self._device, image_size=image_size)
+            before = len(problems)
+            predictions = search_pictures(network, images, self.name, problems, on_image)
+            if wrong := [p for p in problems[before:] if p.severity == "error"]:
+                raise DatasetError(f"{len(wrong)} of {len(images)} pictures cannot be used", wrong)
+            return predictions
         assert self._detector is not None
         if image_size is None:
             problems += self._detector.scale.warnings(self._path)
         return predict.predict(self._detector, images, image_size=image_size, on_image=on_image, fit=fit)
-
-
-def file_of(path: Path) -> Path:
-    """Return the file to use from a folder: detections of an evaluation, or weights of a training.
-
-    Raises:
-        ModelError: The folder is neither, or its training is not finished.
-    """
-    if not path.is_dir() and (path.exists() or unfinished(path) is None):
-        return path
-    for file in (PREDICTIONS, WEIGHTS, ONNX_WEIGHTS):
-        if (path / file).is_file():
-            return path / file
-    found = unfinished(path)
-    todo = ""
-    if found is None:
-        found = f"a folder with neither {PREDICTIONS} nor {WEIGHTS}"
-        todo = f"give {WEIGHTS} of a finished `infrablend train`, or {PREDICTIONS} of an earlier evaluation"
-    problem = Problem(str(path), "weights", found, f"weights (.pt), or {PREDICTIONS}", todo)
-    raise ModelError(f"{path}: nothing to evaluate", [problem])
 
 
 def choose_task(wanted: str | None, source: DetectionSource, problems: list[Problem]) -> Task:

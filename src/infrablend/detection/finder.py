@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.config.agc import DEFAULT_AGC, Agc
+from infrablend.core.dataset import ImageRecord
 from infrablend.core.temperature import TemperatureScale
 from infrablend.detection import onnx_detector, predict
-from infrablend.detection.detection_source import file_of
-from infrablend.detection.detections import MAX_DETECTIONS, Detections, Task
+from infrablend.detection.detections import MAX_DETECTIONS, Detections, Predictions, Task
+from infrablend.detection.detector_file import file_of
 from infrablend.detection.scale import Scale
-from infrablend.errors import ModelError, Problem
+from infrablend.detection.truth import image_key
+from infrablend.errors import DatasetError, ModelError, Problem
+from infrablend.formats.pictures.images import load_background
 
 CONFIDENCE = 0.01
 """Lowest score of what is found by default."""
@@ -118,3 +121,58 @@ def load_finder(
 
     names = tuple(classes) or detector.classes
     return Finder(names, detector.task, detector.agc, facts, find, tuple(scale.warnings(file)))
+
+
+def search_pictures(
+    finder: Finder,
+    images: Sequence[ImageRecord],
+    where: str,
+    problems: list[Problem],
+    progress: Callable[[int, int], None] | None,
+) -> Predictions:
+    """Return what a detector finds in the pictures that can be read, and append the problems of others.
+
+    Args:
+        finder: The detector.
+        images: The pictures.
+        where: Name for warnings about all of them.
+        problems: List to append to.
+        progress: Called with the number of finished and of all pictures.
+    """
+    problems += finder.problems
+    found: dict[str, Detections] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+    deep = 0
+    for n, image in enumerate(images, 1):
+        try:
+            picture = load_background(image.path, image.size_wh)
+            found[image_key(image)] = finder.find(picture.pixels, CONFIDENCE, image.capture.scale)
+        except DatasetError as error:
+            problems += error.problems
+            continue
+        except ValueError as error:
+            expected = "a picture that the gain control of the detector's training can map"
+            problems.append(Problem(image_key(image), "image-agc", str(error), expected))
+            continue
+        finally:
+            if progress is not None:
+                progress(n, len(images))
+        sizes[image_key(image)] = picture.size_wh
+        problems += picture.problems
+        deep += picture.bit_depth == 16
+    problems += _gain_remarks(finder, where, deep, len(found) - deep)
+    facts = dict(finder.facts) | {"confidence": CONFIDENCE}
+    return Predictions(finder.task, finder.classes, found, sizes, facts)
+
+
+def _gain_remarks(finder: Finder, where: str, deep: int, shallow: int) -> list[Problem]:
+    """Return warnings if pictures were mapped to grey levels in another way than those of the training."""
+    if deep and finder.agc is None:
+        found = f"{deep} pictures of 16 bits, and a detector that does not state the gain control of its training"
+        todo = "they went through a line from the 0.5 to the 99.5 % quantile of each; missed objects may be due to it"
+        return [Problem(where, "agc-unknown", found, "the gain control of the training", todo, "warning")]
+    if shallow and finder.agc is not None:
+        found = f"{shallow} pictures of 8 bits, whose gain control is that of their camera"
+        expected = f"pictures of 16 bits, as in the detector's training ({finder.agc.describe()})"
+        return [Problem(where, "agc-other", found, expected, severity="warning")]
+    return []

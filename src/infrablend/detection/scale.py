@@ -21,6 +21,7 @@ NEW_CHECKPOINT = "checkpoint.new"
 DAMAGED = "checkpoint.damaged.pt"
 WEIGHTS = "weights.pt"
 ONNX_WEIGHTS = "weights.onnx"
+STATES = "weights.pth"  # of YOLOX, in its own format
 LOG = "train.log"
 DATA = "data"
 TILES = "tiles"

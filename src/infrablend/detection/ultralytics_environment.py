@@ -41,7 +41,7 @@ def configure_ultralytics(folder: Path) -> None:
     os.environ.update(
         YOLO_CONFIG_DIR=str(folder), YOLO_OFFLINE="1", YOLO_AUTOINSTALL="0", YOLO_VERBOSE="1", WANDB_MODE="disabled"
     )
-    _replace_broken_torchvision()
+    replace_broken_torchvision()
 
 
 @contextlib.contextmanager
@@ -85,7 +85,7 @@ def wrong_arguments(arguments: Mapping[str, object]) -> str:
     return ""
 
 
-def _replace_broken_torchvision() -> None:
+def replace_broken_torchvision() -> None:
     """Replace torchvision by a stand-in if it fails to import, like its CUDA build beside the CPU build of torch.
 
     Detection needs one of its functions, non-maximum suppression. `make train` also installs such a stand-in for the

@@ -51,7 +51,7 @@ def train(
     session: JsonSession,
     *,
     dataset: DatasetArgument,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for weights.pt and train.json.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the weights and train.json.")],
     request: Annotated[
         api.TrainRequest,
         Fields(
@@ -66,7 +66,7 @@ def train(
     resume: Annotated[bool, typer.Option("--resume", help="Continue the training in DIR.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the training in DIR.")] = False,
 ) -> None:
-    """Train a detector with Ultralytics (extra `train`); Ctrl-C stops it, and --resume continues."""
+    """Train a detector with Ultralytics (extra `train`) or YOLOX; Ctrl-C stops it, and --resume continues."""
     existing = earlier_output(resume, overwrite)
     if plan:
         p = api.plan_train(dataset, request, reading=reading, out=out, existing=existing)
@@ -119,7 +119,7 @@ def evaluate(
     weights: Annotated[
         Path,
         typer.Argument(
-            metavar="WEIGHTS", help="Weights (.pt), predictions.json of an evaluation, or the folder of either."
+            metavar="WEIGHTS", help="Weights (.pt), ONNX file, predictions.json of an evaluation, or the folder of any."
         ),
     ],
     dataset: DatasetArgument,

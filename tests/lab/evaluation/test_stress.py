@@ -96,7 +96,7 @@ class PerfectDetector:
     name = "weights.pt"
     classes = ("drone", "bird")
     task = "detect"
-    is_saved = False
+    is_fixed = False
 
     def __init__(self, *_: Any) -> None:
         pass

@@ -30,13 +30,14 @@ from infrablend.detection.scale import DAMAGED, WEIGHTS
 from infrablend.detection.ultralytics_environment import quiet_ultralytics, require_ultralytics
 from infrablend.errors import DatasetError, FetchError, Interrupted, MissingDependencyError, OutputError, RenderError
 from infrablend.lab.realism import nets
-from infrablend.lab.training import start_weights, trainer
+from infrablend.lab.training import start_weights, training_job
 from infrablend.lab.training import train as pipeline_train
 from infrablend.lab.training import training_process as process
 from infrablend.lab.training.presets import PRESETS
 from infrablend.lab.training.train import choose_device, require_arguments
 from infrablend.lab.training.train_request import choose_preset
-from infrablend.lab.training.trainer import ShuffledPasses
+from infrablend.lab.training.trainer import trainer_with_passes
+from infrablend.lab.training.training_job import ShuffledPasses
 
 
 def yolo(
@@ -492,17 +493,19 @@ def test_a_checkpoint_contains_the_progress_and_is_moved_away_if_damaged(ultraly
 
     said = []
     checkpoint = tmp_path / "checkpoint.pt"
-    assert trainer._last_checkpoint(checkpoint, torch, None).epochs == 0
-    reached = trainer.Reached(5, True, {"images": 8}, {"box_loss": 0.5}, 4)
-    torch.save({"epoch": 4, trainer.REACHED: asdict(reached)}, checkpoint)
-    assert trainer._last_checkpoint(checkpoint, torch, None) == reached
+    assert training_job.last_checkpoint(checkpoint, torch, None).epochs == 0
+    reached = training_job.Reached(5, True, {"images": 8}, {"box_loss": 0.5}, 4)
+    torch.save({"epoch": 4, training_job.REACHED: asdict(reached)}, checkpoint)
+    assert training_job.last_checkpoint(checkpoint, torch, None) == reached
     whole = checkpoint.read_bytes()
     (tmp_path / "run").mkdir()
     for broken in (b"", whole[: len(whole) // 2], b"no checkpoint"):
         checkpoint.write_bytes(broken)
         assert (
-            trainer._last_checkpoint(checkpoint, torch, lambda event, **facts: said.append((event, facts["message"])))
-            == trainer.Reached()
+            training_job.last_checkpoint(
+                checkpoint, torch, lambda event, **facts: said.append((event, facts["message"]))
+            )
+            == training_job.Reached()
         )
         assert (tmp_path / DAMAGED).read_bytes() == broken
         assert not checkpoint.exists()
@@ -524,8 +527,8 @@ def test_turns_stay_with_their_epoch_when_the_loader_starts_again(ultralytics, t
         def _close_dataloader_mosaic(self) -> None:
             pass
 
-    job = trainer.Job("", str(tmp_path), "detect", "", "cpu", 4, 2, 32, 0, seed=3, images=7, labels=7, shown=6)
-    t = trainer.trainer_with_passes(Base, job, 1)()
+    job = training_job.Job("", str(tmp_path), "detect", "", "cpu", 4, 2, 32, 0, seed=3, images=7, labels=7, shown=6)
+    t = trainer_with_passes(Base, job, 1)()
     loader = t.get_dataloader()
     shown = []
     for t.epoch in (1, 2, 3):
@@ -535,7 +538,7 @@ def test_turns_stay_with_their_epoch_when_the_loader_starts_again(ultralytics, t
         shown.append([int(i) for batch in loader for i in batch])
     loader.close()
     assert shown == [list(ShuffledPasses(7, 6, seed=3, epoch=e)) for e in (1, 2, 3)]
-    assert trainer.trainer_with_passes(Base, replace(job, shown=7), 0)().get_dataloader().sampler is not t.turns
+    assert trainer_with_passes(Base, replace(job, shown=7), 0)().get_dataloader().sampler is not t.turns
 
 
 def test_shuffled_passes_cover_all_images_repeatedly():
@@ -645,7 +648,7 @@ def test_the_stand_in_for_torchvision_can_be_asked_for(ultralytics, monkeypatch)
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "torchvision", None)  # an import of it fails
     monkeypatch.setitem(sys.modules, "torchvision.ops", None)
-    ultralytics_environment._replace_broken_torchvision()
+    ultralytics_environment.replace_broken_torchvision()
     assert sys.modules["torchvision"].ops.nms
     assert nets.missing("torchvision") is None
     assert "cannot be imported" in nets.no_inception(1000)

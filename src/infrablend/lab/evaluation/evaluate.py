@@ -196,8 +196,9 @@ def _prepare(
     task = choose_task(settings.task, source, problems)
     numbers = evaluated_classes(dataset, images, settings.classes, source.classes, problems)
     source.check(images, problems)
-    if settings.stress and source.is_saved:
-        problems.append(Problem(source.name, "stress-saved", "saved detections", "weights (.pt), to detect again"))
+    if settings.stress and source.is_fixed:
+        found = "saved detections or an ONNX file"
+        problems.append(Problem(source.name, "stress-saved", found, "weights (.pt), to detect again"))
     groups = image_groups(images, settings.group, problems)
     errors = [p for p in problems if p.severity == "error"]
     if errors:

@@ -13,6 +13,7 @@ from infrablend.core.operating_system import has_matrix_units
 from infrablend.detection.detections import Task
 
 PresetName = Literal["paper", "medium", "small", "smoke"]
+Backend = Literal["ultralytics", "yolox"]
 SUFFIX: Mapping[Task, str] = {"detect": "", "obb": "-obb", "segment": "-seg"}
 
 
@@ -23,7 +24,7 @@ class Preset:
     Attributes:
         name: Name for `--preset`.
         summary: Description in one line.
-        model: Ultralytics' name of the network, without the suffix of the task.
+        model: The library's name of the network, without the suffix of the task.
         image_size: Side of the network's square input, px.
         batch: Images per step.
         epochs: Maximum number of passes over the data; 0 if `passes` applies.
@@ -103,9 +104,10 @@ _MOST_THREADS = 8  # of a training on a CPU, as in Ultralytics
 
 # Images per second in training at 320 px, by model and device. YOLOv8n on two cores with matrix units for bfloat16: 21
 # measured on one core, times 1.6. The others follow from Ultralytics' published speeds; YOLO11n, which has fewer
-# operations in more layers, is taken as YOLOv8n. Used for estimates only.
+# operations in more layers, is taken as YOLOv8n, and YOLOX on a GPU as YOLOv8. Used for estimates only.
 _RATE_320 = {
     ("yolov8n", "cpu"): 32.0, ("yolov8s", "cpu"): 10.0, ("yolo11n", "cpu"): 32.0,
+    ("yolox_n", "cpu"): 38.0, ("yolox_n", "gpu"): 1200.0, ("yolox_s", "gpu"): 600.0,
     ("yolov8n", "gpu"): 1200.0, ("yolov8s", "gpu"): 600.0, ("yolo11n", "gpu"): 1200.0,
 }  # fmt: skip
 _WITHOUT_MATRIX_UNITS = 0.42
@@ -125,14 +127,16 @@ def estimate_seconds(preset: Preset, images: int, *, gpu: bool, threads: int = 2
     return 20 + epochs * shown / rate
 
 
-# Parameters of YOLOv8 by size letter, in millions; later versions have fewer.
-_PARAMETERS_M = {"n": 3.2, "s": 11.2, "m": 25.9, "l": 43.7, "x": 68.2}
+# Parameters of YOLOv8 by size letter, in millions; later versions have fewer. YOLOX has about as many.
+_PARAMETERS_M = {"yolox_nano": 0.9, "yolox_tiny": 5.1, "n": 3.2, "s": 11.2, "m": 25.9, "l": 43.7, "x": 68.2}
 
 
 def weights_bytes(preset: Preset) -> float:
     """Estimate the peak disk space of a training's weights, in bytes.
 
     There are four checkpoints (Ultralytics' last and best, ours, and ours while it is replaced) with weights and the
-    optimizer's two moments, and the final weights, all in half precision.
+    optimizer's two moments, and the final weights, all in half precision. YOLOX has two in single precision.
     """
-    return _PARAMETERS_M.get(preset.model[-1:], _PARAMETERS_M["x"]) * 1e6 * 2 * (4 * 3 + 1)
+    letter = preset.model[-1:]
+    parameters_m = _PARAMETERS_M.get(preset.model, _PARAMETERS_M.get(letter, _PARAMETERS_M["x"]))
+    return parameters_m * 1e6 * 2 * (4 * 3 + 1)

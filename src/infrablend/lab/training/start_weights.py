@@ -35,7 +35,7 @@ class StartWeights:
     """Start weights of a network.
 
     Attributes:
-        model: Argument for Ultralytics: a file of weights, or the name of a network description.
+        model: Argument for the library: a file of weights, or the name of a network or its description.
         kind: `scratch`, `file` or `published`.
         why: Reason for the record, such as why published weights are not used.
         network: Name of the network, which a file of weights brings along; empty if unknown.
@@ -49,6 +49,22 @@ class StartWeights:
     def facts(self) -> StartFacts:
         """Return the fields as `train.json` has them."""
         return {"model": self.model, "kind": self.kind, "why": self.why, "network": self.network}
+
+
+def find_yolox_start(wanted: str, preset: Preset) -> StartWeights:
+    """Return the weights of YOLOX to start from; none are downloaded.
+
+    Raises:
+        FetchError: There is no such file.
+    """
+    if wanted == SCRATCH:
+        return StartWeights(preset.model, "scratch", "requested", preset.model)
+    if wanted == AUTO:
+        return StartWeights(preset.model, "scratch", "no weights of YOLOX are downloaded", preset.model)
+    path = Path(wanted)
+    if not _is_file(path):
+        raise FetchError(f"--weights {wanted}: no such file; expected a .pth file of YOLOX, or {SCRATCH}")
+    return StartWeights(str(real_path(path)), "file", network=preset.model)
 
 
 def find_start(wanted: str, preset: Preset, task: Task, cache: Path | None = None) -> StartWeights:

@@ -24,13 +24,13 @@ from infrablend.core.tasks import OnProgress
 from infrablend.core.typed_command import COMMAND, command_facts
 from infrablend.core.workspace import Existing, partial_of, workspace
 from infrablend.detection import tiles, ultralytics_environment
-from infrablend.detection.scale import ONNX_WEIGHTS, RECORD, WEIGHTS, WORKING_FILES
+from infrablend.detection.scale import ONNX_WEIGHTS, RECORD, STATES, WEIGHTS, WORKING_FILES
 from infrablend.detection.ultralytics_environment import require_ultralytics
 from infrablend.errors import OtherSettingsError, OutputError, Problem
 from infrablend.lab.training import presets, start_weights
 from infrablend.lab.training.export_onnx import export_onnx, require_onnx
 from infrablend.lab.training.presets import PRESETS, Preset
-from infrablend.lab.training.train_request import PRESET_FIELDS, TrainRequest
+from infrablend.lab.training.train_request import DEFAULT_TRAINING, PRESET_FIELDS, TrainRequest
 from infrablend.lab.training.training_data import (
     has_deep_pictures,
     most_tiles,
@@ -39,6 +39,8 @@ from infrablend.lab.training.training_data import (
 )
 from infrablend.lab.training.training_process import run_trainer
 from infrablend.lab.training.training_record import TrainingRecord
+from infrablend.lab.training.yolox_network import require_yolox
+from infrablend.lab.training.yolox_settings import require_yolox_settings
 from infrablend.pipeline.datasets.content import content_digest
 
 # Arguments of Ultralytics that follow from the request and its folder, and what to give in their place.
@@ -62,7 +64,7 @@ class TrainPlan:
         shown: Images shown per epoch.
         tiled: Whether `images` are tiles.
         tile_px: Side of the tiles, px; 0 for whole pictures.
-        device: Ultralytics' name of the device.
+        device: `cpu`, `mps` or the number of a GPU.
         seconds: Estimated duration, s.
         disk_bytes: Estimated peak disk space, bytes.
         weights: Name of the start weights, or `auto` or `scratch`.
@@ -92,8 +94,11 @@ def plan_training(
     """
     preset = request.chosen_preset()
     device = choose_device(request.device, planning=True)
-    require_arguments(preset)
-    start_weights.require_known(request.weights, request.task)
+    require_arguments(preset, request)
+    if request.backend == "ultralytics":
+        start_weights.require_known(request.weights, request.task)
+    else:
+        start_weights.find_yolox_start(request.weights, preset)
     if out is not None and (out.exists() or partial_of(out).exists()):
         # Nothing is deleted: what may be replaced may also be resumed.
         with workspace(out, "training", RECORD, "refuse" if existing == "refuse" else "resume", keep=True):
@@ -121,12 +126,13 @@ def plan_of(wanted: Dataset, device: str, request: TrainRequest) -> TrainPlan:
         device=device,
         seconds=presets.estimate_seconds(preset, images, gpu=device != "cpu", threads=presets.cpu_threads()),
         disk_bytes=round(size + presets.weights_bytes(preset)), weights=Path(request.weights).name,
-        network=start_weights.network_of(request.weights, preset, request.task),
+        network=preset.model if request.backend == "yolox"
+        else start_weights.network_of(request.weights, preset, request.task),
     )  # fmt: skip
 
 
 def choose_device(wanted: str, *, planning: bool = False) -> str:
-    """Return Ultralytics' name of a device: `cpu`, `mps` or the number of a GPU.
+    """Return the trainers' name of a device: `cpu`, `mps` or the number of a GPU.
 
     For a plan where torch is not installed, `auto` is the processor.
     """
@@ -137,7 +143,7 @@ def choose_device(wanted: str, *, planning: bool = False) -> str:
         raise OutputError(f"--device {wanted}: no such device; expected auto, cpu, mps, cuda, or a GPU such as cuda:1")
     if wanted == "cpu" or (planning and wanted == "auto" and find_spec("torch") is None):
         return "cpu"
-    if planning:
+    if find_spec("torch") is None:
         ultralytics_environment.require_ultralytics()
     import torch
 
@@ -158,11 +164,24 @@ def choose_device(wanted: str, *, planning: bool = False) -> str:
     )
 
 
-def require_arguments(preset: Preset) -> None:
-    """Raise OutputError for arguments of the user that the trainer sets itself, or that Ultralytics refuses.
+def require_backend(request: TrainRequest) -> None:
+    """Raise MissingDependencyError if a package that the training needs is missing."""
+    if request.backend == "yolox":
+        require_yolox()
+    else:
+        require_ultralytics()
+        if request.export:
+            require_onnx()
+
+
+def require_arguments(preset: Preset, request: TrainRequest = DEFAULT_TRAINING) -> None:
+    """Raise OutputError for arguments of the user that the trainer sets itself, or that the library refuses.
 
     The latter are not checked where Ultralytics is missing. That check is slow: the presets' own arguments skip it.
     """
+    if request.backend == "yolox":
+        require_yolox_settings(preset, request.task)
+        return
     fixed = [k for k in _OF_TRAINER if k in preset.arguments]
     if fixed:
         raise OutputError(
@@ -215,7 +234,7 @@ def train_dataset(
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
 ) -> TrainReport:
-    """Train a detector, and leave `weights.pt` and `train.json`, and `weights.onnx` if asked for, in `out`.
+    """Train a detector, and leave its weights, `train.json`, and `weights.onnx` if asked for or by YOLOX, in `out`.
 
     Args:
         dataset: Dataset with a train split, and with a val split where the preset stops early.
@@ -226,39 +245,40 @@ def train_dataset(
         on_progress: Called with the number of images shown so far.
 
     Raises:
-        MissingDependencyError: Ultralytics or torch is not installed, or too old.
+        MissingDependencyError: The library or torch is not installed, or too old.
         DatasetError: The dataset is not fit for training: splits, classes, or labels that would be lost.
         OutputError: The folder, the disk or a setting is not fit for use.
         RenderError: The trainer failed; its log gives the reason.
         Interrupted: The user stopped the training; `resume` continues it.
     """
-    require_ultralytics()
-    if request.export:
-        require_onnx()
+    require_backend(request)
     device = choose_device(request.device)
-    require_arguments(request.chosen_preset())
+    require_arguments(request.chosen_preset(), request)
     wanted, left_out = select_training_data(dataset, request)
     request = request.fitted_to(wanted)
     preset = request.chosen_preset()
     start_asked, digest = start_weights.identify(request.weights)
     asked: TrainingRecord = {
-        "preset": preset.name, "task": request.task, "seed": request.seed, "settings": dataclasses.asdict(preset),
+        "preset": preset.name, "backend": request.backend, "task": request.task,
+        "seed": request.seed, "settings": dataclasses.asdict(preset),
         "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
         "start_asked": start_asked, "weights_sha256": digest, "content": content_digest(wanted),
     }  # fmt: skip
     if has_deep_pictures(wanted):
         asked["agc"] = request.agc.model_dump()
+    # What `infrablend detect` reads of YOLOX is the ONNX file.
+    weights, result = (STATES, ONNX_WEIGHTS) if request.backend == "yolox" else (WEIGHTS, WEIGHTS)
     with workspace(out, "training", RECORD, existing, keep=True, derived={ONNX_WEIGHTS}) as space:
         folder = space.folder
         record = None if space.state == "new" else cast("TrainingRecord | None", read_object(folder / RECORD))
         if record is not None:
             require_same(out, record, asked)
         if space.state == "complete":
-            if not (folder / WEIGHTS).is_file():
-                raise OutputError(f"{out / WEIGHTS}: is not there; train again with --overwrite")
+            if not (folder / weights).is_file():
+                raise OutputError(f"{out / weights}: is not there; train again with --overwrite")
             if request.export:
-                export_onnx(out / WEIGHTS, record or {})
-            return TrainReport(out, out / WEIGHTS, record or {})
+                export_onnx(out / weights, record or {})
+            return TrainReport(out, out / result, record or {})
         if record is None or record.get("prepared") is None:
             if space.state == "started":
                 log.warning("%s: was not prepared to the end; the training starts again", out)
@@ -270,7 +290,7 @@ def train_dataset(
                 "left_out": left_out,
                 "sessions": [],
                 "machine": _machine_facts(device),
-                "start": start_weights.find_start(request.weights, preset, request.task).facts(),
+                "start": _start(request, preset).facts(),
             }
             if command := command_facts():
                 record["command"] = command[COMMAND]
@@ -280,10 +300,16 @@ def train_dataset(
         if "epochs_done" not in record:
             record = run_trainer(folder, record, preset, device, on_progress)
         _remove_working_files(folder)
-        if request.export:
-            export_onnx(folder / WEIGHTS, record)
+        if request.export or result == ONNX_WEIGHTS:
+            export_onnx(folder / weights, record)
         space.finish(record)
-    return TrainReport(out, out / WEIGHTS, record)
+    return TrainReport(out, out / result, record)
+
+
+def _start(request: TrainRequest, preset: Preset) -> start_weights.StartWeights:
+    if request.backend == "yolox":
+        return start_weights.find_yolox_start(request.weights, preset)
+    return start_weights.find_start(request.weights, preset, request.task)
 
 
 def _remove_working_files(folder: Path) -> None:
@@ -298,7 +324,7 @@ def _remove_working_files(folder: Path) -> None:
 def require_same(out: Path, record: Mapping[str, object], asked: Mapping[str, object]) -> None:
     """Raise OtherSettingsError if a training to resume was started with other data or settings."""
     now = _flat(json.loads(json.dumps(asked)))
-    record = _flat(record)
+    record = {"backend": "ultralytics"} | _flat(record)  # which earlier versions did not record
     now.pop("data")  # the data must be the same, not their folder
     if "weights_sha256" not in record:  # earlier versions recorded the path of the weights alone
         now.pop("weights_sha256", None)

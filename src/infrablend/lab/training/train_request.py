@@ -12,7 +12,8 @@ from infrablend.core.dataset import Dataset
 from infrablend.detection.detections import Task
 from infrablend.errors import OutputError, Problem
 from infrablend.lab.training import start_weights
-from infrablend.lab.training.presets import PRESETS, Preset, PresetName
+from infrablend.lab.training.presets import PRESETS, Backend, Preset, PresetName
+from infrablend.lab.training.yolox_settings import as_yolox
 
 PRESET_FIELDS = ("model", "image_size", "batch", "epochs", "passes", "patience", "tile", "tiles")
 _LEAST = {"image_size": 1, "batch": 1}
@@ -31,7 +32,7 @@ class TrainRequest:
     Attributes:
         preset: paper: YOLOv8s as in the paper, for a GPU; medium: whole pictures, two cores, hours; small: two cores,
             minutes; smoke: a few steps.
-        settings: Field of the preset (passes, epochs, batch ...) or argument of Ultralytics.
+        settings: Field of the preset (passes, epochs, batch ...) or argument of the library.
         task: Boxes, oriented boxes or masks.
         weights: Starting point; auto: the preset's published weights, or scratch if they cannot be downloaded.
         device: auto, cpu, mps, cuda, or one GPU: cuda:1 or 1.
@@ -41,6 +42,8 @@ class TrainRequest:
             linear].
         export: Also write weights.onnx, with names, size of tiles and AGC in its metadata; a finished training is
             only exported.
+        backend: ultralytics (AGPL-3.0), or yolox (Apache-2.0), which trains detectors of boxes from scratch and always
+            writes weights.onnx, its result.
 
     Raises:
         ArgumentError: `classes` is no list of names.
@@ -55,13 +58,14 @@ class TrainRequest:
     classes: Sequence[str] | None = None
     agc: Agc = DEFAULT_AGC
     export: Literal["onnx"] | None = None
+    backend: Backend = "ultralytics"
 
     def __post_init__(self) -> None:
         require_names("classes", self.classes)
 
     def chosen_preset(self) -> Preset:
         """Return the preset with `settings` applied; see `choose_preset`."""
-        return choose_preset(self.preset, self.settings)
+        return choose_preset(self.preset, self.settings, self.backend)
 
     def fitted_to(self, dataset: Dataset) -> TrainRequest:
         """Return the request with the size of tiles and the range of scales that suit the pictures to train on.
@@ -89,15 +93,15 @@ class TrainRequest:
 DEFAULT_TRAINING: TrainRequest = TrainRequest()
 
 
-def choose_preset(name: str, settings: Mapping[str, object]) -> Preset:
-    """Return the preset with these fields and arguments of Ultralytics changed.
+def choose_preset(name: str, settings: Mapping[str, object], backend: Backend = "ultralytics") -> Preset:
+    """Return the preset with these fields and arguments of the library changed.
 
     Raises:
         OutputError: There is no such preset, or a value is of the wrong kind.
     """
     if name not in PRESETS:
         raise OutputError(f"--preset {name}: no such preset; expected one of {', '.join(PRESETS)}")
-    preset = PRESETS[name]
+    preset = PRESETS[name] if backend == "ultralytics" else as_yolox(PRESETS[name])
     fields: dict[str, Any] = {k: v for k, v in settings.items() if k in PRESET_FIELDS}
     arguments = {k: v for k, v in settings.items() if k not in PRESET_FIELDS}
     problems = [

@@ -13,122 +13,30 @@ import contextlib
 import functools
 import json
 import os
-import random
-import shutil
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from infrablend.core.files import load_json, replace_atomically
 from infrablend.core.operating_system import die_with_parent, watch_parent
-from infrablend.core.rng import stream
-from infrablend.detection.scale import (
-    CHECKPOINT,
-    DAMAGED,
-    LOG,
-    MARK,
-    NEW_CHECKPOINT,
-    RUN,
-    ULTRALYTICS,
-    WEIGHTS,
-)
+from infrablend.detection.scale import CHECKPOINT, MARK, NEW_CHECKPOINT, RUN, ULTRALYTICS, WEIGHTS
 from infrablend.detection.ultralytics_environment import configure_ultralytics, has_fast_bfloat16
 from infrablend.lab.training.presets import cpu_threads
-
-REACHED = "infrablend_reached"
-"""Entry of a checkpoint with the progress, as the fields of `Reached`."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """Settings of the training process; those of `TrainRequest` and `Preset` are explained there.
-
-    Attributes:
-        data: Path of Ultralytics' data.yaml.
-        out: Folder for checkpoint and weights.
-        model: File of weights or name of a network description.
-        device: `cpu`, `mps` or the number of a GPU.
-        images: Number of images the train split must have.
-        labels: Number of labels the train split must have.
-        shown: Images shown per epoch. If it differs from `images`, each epoch continues in the shuffled data where the
-            last one ended.
-        val_images: Number of images the val split must have; 0 if nothing depends on it.
-        val_labels: Number of labels the val split must have.
-        picture_px: Longer side of most pictures that tiles were cut from; 0 without tiles.
-        agc: Automatic gain control that turned 16-bit pictures into the images, as JSON values; None for 8-bit ones.
-    """
-
-    data: str
-    out: str
-    task: str
-    model: str
-    device: str
-    epochs: int
-    batch: int
-    image_size: int
-    patience: int
-    seed: int
-    images: int
-    labels: int
-    shown: int
-    arguments: dict[str, object] = field(default_factory=dict)
-    val_images: int = 0
-    val_labels: int = 0
-    tile: int = 0
-    picture_px: int = 0
-    agc: Mapping[str, object] | None = None
-
-
-@dataclass(frozen=True)
-class Reached:
-    """Progress of a training, which its checkpoint contains: a resumed training reports the same as an undisturbed one.
-
-    Attributes:
-        epochs: Number of finished epochs.
-        ended: Whether the training is finished, by the number of epochs or because val no longer improved.
-        gate: Numbers of images and labels that Ultralytics has loaded.
-        losses: Losses of the last epoch.
-        batch: Images per step.
-        short_of_memory: Whether the batch was reduced because memory was short.
-    """
-
-    epochs: int = 0
-    ended: bool = False
-    gate: dict[str, int] = field(default_factory=dict)
-    losses: dict[str, float] = field(default_factory=dict)
-    batch: int = 0
-    short_of_memory: bool = False
-
-
-class _IncompleteDataError(Exception):
-    """Ultralytics would not use all images and labels."""
-
-
-class ShuffledPasses:
-    """Sampler of `shown` indices per epoch, from consecutive shuffled passes over all images.
-
-    The same seed and epoch give the same indices, so a resumed training continues in the same order.
-    """
-
-    def __init__(self, images: int, shown: int, seed: int, epoch: int = 0) -> None:
-        self.images = images
-        self.shown = shown
-        self.seed = seed
-        self.epoch = epoch
-
-    def __len__(self) -> int:
-        return self.shown
-
-    def __iter__(self) -> Iterator[int]:
-        first = self.epoch * self.shown
-        self.epoch += 1
-        for walk in range(first // self.images, (first + self.shown - 1) // self.images + 1):
-            order = stream(self.seed, "train", walk).permutation(self.images).tolist()
-            start = walk * self.images
-            yield from order[max(first - start, 0) : first + self.shown - start]
+from infrablend.lab.training.training_job import (
+    REACHED,
+    IncompleteDataError,
+    Job,
+    Reached,
+    Say,
+    ShuffledPasses,
+    last_checkpoint,
+    read_checkpoint,
+    require_all,
+    reseed,
+)
 
 
 def trainer_with_passes(base: Any, job: Job, begun: int) -> Any:
@@ -171,8 +79,8 @@ def main(arguments: list[str]) -> int:
 
     with contextlib.redirect_stdout(sys.stderr):
         try:
-            _train(job, say)
-        except _IncompleteDataError as error:
+            _trainer_of(job)(job, say)
+        except IncompleteDataError as error:
             say("error", code="labels-dropped", message=str(error))
             return 1
         except Exception as error:
@@ -184,6 +92,14 @@ def main(arguments: list[str]) -> int:
             say("error", code=code, message=text)
             return 1
     return 0
+
+
+def _trainer_of(job: Job) -> Callable[[Job, Say], None]:
+    if job.backend == "ultralytics":
+        return _train
+    from infrablend.lab.training.yolox_trainer import train_yolox
+
+    return train_yolox
 
 
 class _Progress:
@@ -199,35 +115,13 @@ class _Progress:
 
     def gate(self, t: Any) -> None:
         """Refuse to train on other images and labels than those that were prepared."""
-        job = self._job
-        log = self._checkpoint.with_name(LOG)
-        images, labels = _loaded(t.train_loader)
-        shown = len(t.train_loader.sampler)
-        val = _loaded(t.test_loader) if job.val_images else (0, 0)
-        self._loaded.update(images=images, labels=labels, images_per_epoch=shown)
-        if job.val_images:
-            self._loaded.update(val_images=val[0], val_labels=val[1])
-        if (images, labels) != (job.images, job.labels) or shown != job.shown or shown * job.epochs < job.images:
-            raise _IncompleteDataError(
-                f"of {job.images} images and {job.labels} labels the trainer would use "
-                f"{min(images, shown * job.epochs)} and {labels}; its log lists those it left out ({log})"
-            )
-        if val != (job.val_images, job.val_labels):
-            raise _IncompleteDataError(
-                f"of {job.val_images} images and {job.val_labels} labels of split val, which decides when to stop, "
-                f"the trainer would use {val[0]} and {val[1]}; its log lists those it left out ({log})"
-            )
+        val = _loaded(t.test_loader) if self._job.val_images else (0, 0)
+        self._loaded = require_all(self._job, len(t.train_loader.sampler), _loaded(t.train_loader), val)
 
     def reseed(self, t: Any) -> None:
-        """Seed all generators by the job and the epoch: a resumed run draws the same as an uninterrupted one."""
-        import numpy as np
-        import torch
-
+        """Seed all generators by the job and the epoch."""
         self._steps = 0
-        seed = (self._job.seed * 100_003 + t.epoch) % 2**31
-        random.seed(seed)
-        np.random.seed(seed)  # noqa: NPY002 - Ultralytics draws from it
-        torch.manual_seed(seed)
+        seed = reseed(self._job, t.epoch)
         if getattr(t.train_loader, "generator", None) is not None:
             t.train_loader.generator.manual_seed(seed)
 
@@ -283,7 +177,7 @@ def _train(job: Job, say: Any) -> None:
             "segment": yolo.segment.SegmentationTrainer}[job.task]  # fmt: skip
     on_cpu = job.device == "cpu"
     checkpoint = out / CHECKPOINT
-    begun = _last_checkpoint(checkpoint, torch, say)
+    begun = last_checkpoint(checkpoint, torch, say)
 
     class Trainer(trainer_with_passes(base, job, begun.epochs)):  # type: ignore[misc]
         """Ultralytics' trainer, with the memory layout that suits convolutions on a processor."""
@@ -313,7 +207,7 @@ def _train(job: Job, say: Any) -> None:
             trainer.train()
     best = out / RUN / "weights" / "best.pt"
     _write_weights(job, best if job.patience and best.is_file() else checkpoint, out / WEIGHTS)
-    reached = _read_checkpoint(checkpoint, torch)
+    reached = read_checkpoint(checkpoint, torch)
     say("end", epochs=reached.epochs, gate=reached.gate, losses=reached.losses,
         batch=reached.batch or min(job.batch, job.images), short_of_memory=reached.short_of_memory,
         precision="amp" if not on_cpu else precision, threads=torch.get_num_threads(),
@@ -360,27 +254,6 @@ def _use_deterministic_algorithms(torch: Any, mode: bool, *, warn_only: bool = F
 def _loaded(loader: Any) -> tuple[int, int]:
     found = loader.dataset.labels
     return len(found), sum(len(label["cls"]) for label in found)
-
-
-def _last_checkpoint(checkpoint: Path, torch: Any, say: Any) -> Reached:
-    """Return the progress in the checkpoint; move an unreadable one away and return no progress."""
-    if not checkpoint.is_file():
-        return Reached()
-    try:
-        return _read_checkpoint(checkpoint, torch)
-    except (MemoryError, ImportError):
-        raise
-    except Exception as error:  # unpickling can raise anything
-        checkpoint.replace(checkpoint.with_name(DAMAGED))
-        shutil.rmtree(checkpoint.with_name(RUN), ignore_errors=True)
-        text = " ".join(f"{type(error).__name__}: {error}".split())[:100]
-        say("damaged", message=f"{CHECKPOINT} cannot be read ({text}): moved to {DAMAGED}; the training starts again")
-        return Reached()
-
-
-def _read_checkpoint(checkpoint: Path, torch: Any) -> Reached:
-    content = torch.load(checkpoint, map_location="cpu", weights_only=False)
-    return Reached(**content[REACHED])
 
 
 @contextlib.contextmanager

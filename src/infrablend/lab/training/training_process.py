@@ -22,6 +22,7 @@ from infrablend.detection.scale import DATA, JOB, LOG, RECORD
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, RenderError
 from infrablend.lab.training import trainer
 from infrablend.lab.training.presets import Preset
+from infrablend.lab.training.training_job import Job
 from infrablend.lab.training.training_record import SessionFacts, TrainerEvent, TrainingRecord
 from infrablend.pipeline.execution.interrupt import Interruption
 
@@ -110,17 +111,21 @@ def run_trainer(
     return record
 
 
-def _job(out: Path, record: TrainingRecord, preset: Preset, device: str) -> trainer.Job:
+def _job(out: Path, record: TrainingRecord, preset: Preset, device: str) -> Job:
     prepared = record["prepared"]
     epochs, shown = preset.epochs_for(prepared["images"])
-    return trainer.Job(
+    start = record["start"]
+    backend = record.get("backend", "ultralytics")
+    is_yolox = backend == "yolox"
+    return Job(
         data=str(real_path(out / DATA / "data.yaml")), out=str(real_path(out)), task=record["task"],
-        model=record["start"]["model"], device=device, epochs=epochs, batch=preset.batch,
+        model=preset.model if is_yolox else start["model"], device=device, epochs=epochs, batch=preset.batch,
         image_size=preset.image_size, tile=preset.tile, patience=preset.patience, seed=record["seed"],
         picture_px=prepared.get("picture_px", 0),
         images=prepared["images"], labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),
         val_images=prepared.get("images_val", 0) if preset.patience else 0,
         val_labels=prepared.get("labels_val", 0) if preset.patience else 0, agc=record.get("agc"),
+        backend=backend, classes=record["classes"], start=start["model"] if start["kind"] == "file" else "",
     )  # fmt: skip
 
 

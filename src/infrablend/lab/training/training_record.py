@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import NotRequired, TypedDict
 
 from infrablend.detection.detections import Task
+from infrablend.lab.training.presets import Backend
 
 
 class StartFacts(TypedDict):
@@ -62,6 +63,7 @@ class TrainingRecord(TypedDict, total=False):
     infrablend: str
     command: Mapping[str, object]
     preset: str
+    backend: Backend
     task: Task
     seed: int
     settings: dict[str, object]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from infrablend.core.files import write_text
 from infrablend.core.output_checks import require_apart
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import DETECT_FILE, replacing, workspace
-from infrablend.detection.detection_source import file_of
 from infrablend.detection.detections import (
     MAX_DETECTIONS,
     PREDICTIONS,
@@ -24,12 +23,12 @@ from infrablend.detection.detections import (
     read_predictions,
     write_predictions,
 )
-from infrablend.detection.finder import CONFIDENCE, Finder, load_finder
+from infrablend.detection.detector_file import file_of
+from infrablend.detection.finder import load_finder, search_pictures
 from infrablend.detection.tracking import require_trackers, track_ids, tracker_settings
 from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.maps.height_model import load_rasterio
-from infrablend.formats.pictures.images import load_background
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.values import csv_text
 from infrablend.pipeline.flights.detect_request import DEFAULT_DETECT, DetectRequest
@@ -132,7 +131,8 @@ def detect_objects(
                 file, device=request.device, classes=request.classes or (), threads=request.threads,
                 image_size=request.image_size, overlap_px=request.overlap,
             )  # fmt: skip
-            predictions = _searched(finder, dataset, problems, paced(on_progress))
+            pictures = dataset.images
+            predictions = search_pictures(finder, pictures, dataset.root.name, problems, paced(on_progress))
         if not predictions.images:
             raise DatasetError(f"{dataset.root}: no picture can be searched", problems)
         shown = {key: at_least(found, request.confidence) for key, found in predictions.images.items()}
@@ -174,49 +174,6 @@ def detect_objects(
 def at_least(found: Detections, confidence: float) -> Detections:
     """Return the detections from a score on."""
     return found.take(np.flatnonzero(found.scores >= confidence))
-
-
-def _searched(
-    finder: Finder, dataset: Dataset, problems: list[Problem], progress: Callable[[int, int], None] | None
-) -> Predictions:
-    """Return what a detector finds in the pictures that can be read, and append the problems of others."""
-    problems += finder.problems
-    found: dict[str, Detections] = {}
-    sizes: dict[str, tuple[int, int]] = {}
-    deep = 0
-    for n, image in enumerate(dataset.images, 1):
-        try:
-            picture = load_background(image.path, image.size_wh)
-            found[image_key(image)] = finder.find(picture.pixels, CONFIDENCE, image.capture.scale)
-        except DatasetError as error:
-            problems += error.problems
-            continue
-        except ValueError as error:
-            expected = "a picture that the gain control of the detector's training can map"
-            problems.append(Problem(image_key(image), "image-agc", str(error), expected))
-            continue
-        finally:
-            if progress is not None:
-                progress(n, len(dataset.images))
-        sizes[image_key(image)] = picture.size_wh
-        problems += picture.problems
-        deep += picture.bit_depth == 16
-    problems += _gain_remarks(finder, dataset.root.name, deep, len(found) - deep)
-    facts = dict(finder.facts) | {"confidence": CONFIDENCE}
-    return Predictions(finder.task, finder.classes, found, sizes, facts)
-
-
-def _gain_remarks(finder: Finder, where: str, deep: int, shallow: int) -> list[Problem]:
-    """Return warnings if pictures were mapped to grey levels in another way than those of the training."""
-    if deep and finder.agc is None:
-        found = f"{deep} pictures of 16 bits, and a detector that does not state the gain control of its training"
-        todo = "they went through a line from the 0.5 to the 99.5 % quantile of each; missed objects may be due to it"
-        return [Problem(where, "agc-unknown", found, "the gain control of the training", todo, "warning")]
-    if shallow and finder.agc is not None:
-        found = f"{shallow} pictures of 8 bits, whose gain control is that of their camera"
-        expected = f"pictures of 16 bits, as in the detector's training ({finder.agc.describe()})"
-        return [Problem(where, "agc-other", found, expected, severity="warning")]
-    return []
 
 
 def _saved(file: Path, dataset: Dataset, problems: list[Problem]) -> Predictions:
