@@ -1,4 +1,4 @@
-"""What differs between operating systems: locks, the end of processes, files and users, also where functions are missing."""
+"""Locks, the end of processes, files and users, also where functions of the operating system are missing."""
 
 import os
 import subprocess
