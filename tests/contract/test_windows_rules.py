@@ -12,6 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -73,7 +74,7 @@ def both(tmp_path_factory: pytest.TempPathFactory, write_tiny_hit_uav) -> dict[s
     return found
 
 
-def on_both(both: dict[str, System], work: Callable[[System], object]) -> list[object]:
+def on_both(both: dict[str, System], work: Callable[[System], Any]) -> list[Any]:
     """Do something on both systems at once; return what it gives."""
     with ThreadPoolExecutor() as threads:
         return list(threads.map(work, both.values()))

@@ -165,12 +165,13 @@ def open_text(
     errors: str | None = None,
     newline: str | None = None,
     *more: Any,
+    **rest: Any,
 ) -> Any:
     """Open as Windows does: its newlines and its encoding, where the caller says nothing of them."""
     if "b" not in mode and is_ruled(file):
         encoding = "cp1252" if encoding in (None, "locale") else encoding
         newline = "\r\n" if newline is None and set(mode) & set("wax") else newline
-    return _open(file, mode, buffering, encoding, errors, newline, *more)
+    return _open(file, mode, buffering, encoding, errors, newline, *more, **rest)
 
 
 def open_number(path: Any, flags: int, *arguments: Any, **rest: Any) -> int:

@@ -380,7 +380,8 @@ class _Run:
     def _read_messages(self, w: _Worker) -> None:
         """Pass on what a worker says, in a thread of its own."""
         assert w.process.stdout is not None
-        with w.process.stdout as stream, contextlib.suppress(EOFError, OSError, pickle.UnpicklingError):
+        # Any error: what a damaged message raises is not known.
+        with w.process.stdout as stream, contextlib.suppress(Exception):
             while True:
                 self._heard.put((w, pickle.load(stream)))
         self._heard.put((w, None))

@@ -144,7 +144,7 @@ def _read(pipe: IO[bytes], inbox: queue.SimpleQueue[tuple[int, Task] | None]) ->
     while True:
         try:
             message = pickle.load(pipe)
-        except (EOFError, OSError, pickle.UnpicklingError):
+        except Exception:
             os._exit(1)
         if message[0] == "stop":
             with contextlib.suppress(queue.Empty):
