@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import tempfile
 import threading
+import weakref
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -50,6 +51,7 @@ class Spool(Sequence[Item], Generic[Item]):
         try:
             if self._file is None:
                 self._file = tempfile.TemporaryFile(buffering=0, dir=self._folder)  # noqa: SIM115
+                weakref.finalize(self, self._file.close)
             with self._lock:
                 self._file.seek(self._starts[-1])
                 _write_all(self._file, data)
