@@ -1,8 +1,7 @@
-"""Facts about the computer and the installed packages, for records and `doctor`; and a core for each worker."""
+"""Facts about the computer and the installed packages, for records and `doctor`."""
 
 from __future__ import annotations
 
-import contextlib
 import platform
 import subprocess
 from collections.abc import Iterable
@@ -13,7 +12,7 @@ from typing import Literal
 
 import psutil
 
-from infrablend.core.operating_system import processor_name, usable_processors
+from infrablend.core.operating_system import processor_name, read_system_file, usable_processors
 
 _CGROUP = Path("/sys/fs/cgroup")
 
@@ -63,7 +62,7 @@ def source_commit() -> str | None:
 def usable_cores() -> float:
     """Return the cores this process may use: its affinity, limited by the quota of the container."""
     cores = float(len(usable_processors()))
-    words = _read(_CGROUP / "cpu.max").split()
+    words = read_system_file(_CGROUP / "cpu.max").split()
     if len(words) == 2 and words[0].isdigit():
         cores = min(cores, int(words[0]) / int(words[1]))
     return cores
@@ -72,13 +71,7 @@ def usable_cores() -> float:
 def usable_memory_bytes() -> int:
     """Return the memory that this process may still use: the available memory, within the limit of the container."""
     available = int(psutil.virtual_memory().available)
-    limit, used = (_read(_CGROUP / name).strip() for name in ("memory.max", "memory.current"))
+    limit, used = (read_system_file(_CGROUP / name).strip() for name in ("memory.max", "memory.current"))
     if limit.isdigit() and used.isdigit():
         available = min(available, int(limit) - int(used))
     return max(available, 0)
-
-
-def _read(path: Path) -> str:
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        return path.read_text("utf-8")
-    return ""

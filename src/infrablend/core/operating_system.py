@@ -25,6 +25,7 @@ import psutil
 
 log = logging.getLogger(__name__)
 
+_PROCESSOR = Path("/proc/cpuinfo")
 _PR_SET_PDEATHSIG = 1
 _CHECK_EVERY_S = 1.0
 
@@ -211,7 +212,7 @@ def flush_c_output() -> None:
 
 def processor_name() -> str:
     """Return the model name of the processor, or its architecture where the system does not report a name."""
-    for line in _processor_facts().splitlines():
+    for line in read_system_file(_PROCESSOR).splitlines():
         if line.startswith("model name"):
             return " ".join(line.partition(":")[2].split())
     return platform.processor() or platform.machine()
@@ -219,12 +220,13 @@ def processor_name() -> str:
 
 def has_matrix_units() -> bool:
     """Return whether the processor has matrix units for bfloat16 (AMX), which double the speed of a training."""
-    return "amx_tile" in _processor_facts()
+    return "amx_tile" in read_system_file(_PROCESSOR)
 
 
-def _processor_facts() -> str:
+def read_system_file(path: Path) -> str:
+    """Return the text of a file of facts, such as those in /proc; empty where the system has none."""
     with contextlib.suppress(OSError, UnicodeDecodeError):
-        return Path("/proc/cpuinfo").read_text("utf-8")
+        return path.read_text("utf-8")
     return ""
 
 

@@ -266,8 +266,9 @@ def train_dataset(
     }  # fmt: skip
     if has_deep_pictures(wanted):
         asked["agc"] = request.agc.model_dump()
+    weights = STATES if request.backend == "yolox" else WEIGHTS
     # What `infrablend detect` reads of YOLOX is the ONNX file.
-    weights, result = (STATES, ONNX_WEIGHTS) if request.backend == "yolox" else (WEIGHTS, WEIGHTS)
+    result = ONNX_WEIGHTS if request.backend == "yolox" else WEIGHTS
     with workspace(out, "training", RECORD, existing, keep=True, derived={ONNX_WEIGHTS}) as space:
         folder = space.folder
         record = None if space.state == "new" else cast("TrainingRecord | None", read_object(folder / RECORD))

@@ -131,8 +131,7 @@ def detect_objects(
                 file, device=request.device, classes=request.classes or (), threads=request.threads,
                 image_size=request.image_size, overlap_px=request.overlap,
             )  # fmt: skip
-            pictures = dataset.images
-            predictions = search_pictures(finder, pictures, dataset.root.name, problems, paced(on_progress))
+            predictions = search_pictures(finder, dataset.images, dataset.root.name, problems, paced(on_progress))
         if not predictions.images:
             raise DatasetError(f"{dataset.root}: no picture can be searched", problems)
         shown = {key: at_least(found, request.confidence) for key, found in predictions.images.items()}
