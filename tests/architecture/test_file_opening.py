@@ -16,7 +16,6 @@ ALLOWED = {
     "config/loading.py": "shipped files, and one that the user names",
     "config/sensor_profile.py": "a file that the user names",
     "core/files.py": "the place that all others use",
-    "core/machine.py": "files of the kernel",
     "core/lazy_names.py": "a file of the package",
     "core/ledger.py": "the ledger, by SQLite",
     "core/run_folder.py": "the ledger, by SQLite",
