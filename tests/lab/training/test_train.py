@@ -34,10 +34,11 @@ from infrablend.lab.training import start_weights, training_job
 from infrablend.lab.training import train as pipeline_train
 from infrablend.lab.training import training_process as process
 from infrablend.lab.training.presets import PRESETS
-from infrablend.lab.training.train import choose_device, require_arguments
+from infrablend.lab.training.train import choose_device
 from infrablend.lab.training.train_request import choose_preset
 from infrablend.lab.training.trainer import trainer_with_passes
 from infrablend.lab.training.training_job import ShuffledPasses
+from infrablend.lab.training.ultralytics_backend import UltralyticsBackend
 
 
 def yolo(
@@ -296,7 +297,7 @@ def test_arguments_that_ultralytics_would_refuse_are_refused_before_anything_is_
     for settings, said in (({"lr": 0.1}, "not a valid YOLO argument"), ({"lr0": "much"}, "invalid type str")):
         with pytest.raises(OutputError, match=said):
             train(data, tmp_path / "out", settings=settings, **SMOKE)
-    require_arguments(choose_preset("smoke", {"lr0": 0.1, "mosaic": 1}))
+    UltralyticsBackend().require_settings(choose_preset("smoke", {"lr0": 0.1, "mosaic": 1}), "detect")
     assert dict(os.environ) == before
     assert not (tmp_path / "out").exists()
 

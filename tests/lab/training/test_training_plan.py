@@ -18,9 +18,10 @@ from infrablend.detection import ultralytics_environment
 from infrablend.errors import DatasetError, ModelError, OtherSettingsError, OutputError
 from infrablend.lab.training import start_weights
 from infrablend.lab.training.presets import PRESETS
-from infrablend.lab.training.train import require_arguments, require_same
+from infrablend.lab.training.train import require_same
 from infrablend.lab.training.train_request import TrainRequest, choose_preset
 from infrablend.lab.training.training_data import select_training_data
+from infrablend.lab.training.ultralytics_backend import UltralyticsBackend
 from tests.samples import SAMPLES
 from tests.weights_files import write_weights
 
@@ -60,7 +61,8 @@ def test_arguments_that_the_trainer_sets_itself_are_refused(monkeypatch):
     own = ("imgsz", "data", "device", "seed", "task", "mode", "project", "name", "save_dir", "exist_ok", "resume",
            "single_cls", "val", "pretrained")  # fmt: skip
     with pytest.raises(OutputError) as caught:
-        require_arguments(choose_preset("smoke", dict.fromkeys(own, 1) | {"workers": 4, "model": "yolov8x"}))
+        settings = dict.fromkeys(own, 1) | {"workers": 4, "model": "yolov8x"}
+        UltralyticsBackend().require_settings(choose_preset("smoke", settings), "detect")
     assert {p.where for p in caught.value.problems} == {f"--set {k}" for k in own}
     assert next(p.expected for p in caught.value.problems if p.where == "--set imgsz") == "--set image_size"
 

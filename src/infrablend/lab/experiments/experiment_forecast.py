@@ -29,7 +29,7 @@ from infrablend.lab.experiments.result_record import PlanFacts, PlannedStage
 from infrablend.lab.experiments.stage import RECORD, Stage, stage_folder
 from infrablend.lab.training.presets import cpu_threads, estimate_seconds
 from infrablend.lab.training.start_weights import AUTO, SCRATCH, network_of, require_known
-from infrablend.lab.training.train import require_arguments
+from infrablend.lab.training.training_backends import BACKENDS
 from infrablend.lab.training.training_record import TrainingRecord
 from infrablend.pipeline.flights.detectability_request import DEFAULT_DETECTABILITY
 from infrablend.pipeline.plans.scenes import about_scenes
@@ -175,7 +175,7 @@ def require_training_settings(stages: Iterable[Stage], request: ExperimentReques
     """
     for stage in stages:
         if stage.kind == "train":
-            require_arguments(preset_of(request, stage.spec))
+            BACKENDS["ultralytics"].require_settings(preset_of(request, stage.spec), stage.spec.task)
             require_known(stage.spec.weights, stage.spec.task)
 
 

@@ -24,13 +24,12 @@ from infrablend.core.tasks import OnProgress
 from infrablend.core.typed_command import COMMAND, command_facts
 from infrablend.core.workspace import Existing, partial_of, workspace
 from infrablend.detection import tiles, ultralytics_environment
-from infrablend.detection.scale import ONNX_WEIGHTS, RECORD, STATES, WEIGHTS, WORKING_FILES
-from infrablend.detection.ultralytics_environment import require_ultralytics
+from infrablend.detection.scale import ONNX_WEIGHTS, RECORD, WORKING_FILES
 from infrablend.errors import OtherSettingsError, OutputError, Problem
 from infrablend.lab.training import presets, start_weights
-from infrablend.lab.training.export_onnx import export_onnx, require_onnx
-from infrablend.lab.training.presets import PRESETS, Preset
-from infrablend.lab.training.train_request import DEFAULT_TRAINING, PRESET_FIELDS, TrainRequest
+from infrablend.lab.training.export_onnx import export_onnx
+from infrablend.lab.training.train_request import TrainRequest
+from infrablend.lab.training.training_backends import BACKENDS
 from infrablend.lab.training.training_data import (
     has_deep_pictures,
     most_tiles,
@@ -39,18 +38,7 @@ from infrablend.lab.training.training_data import (
 )
 from infrablend.lab.training.training_process import run_trainer
 from infrablend.lab.training.training_record import TrainingRecord
-from infrablend.lab.training.yolox_network import require_yolox
-from infrablend.lab.training.yolox_settings import require_yolox_settings
 from infrablend.pipeline.datasets.content import content_digest
-
-# Arguments of Ultralytics that follow from the request and its folder, and what to give in their place.
-_OF_TRAINER = {
-    "imgsz": "--set image_size", "device": "--device", "seed": "--seed", "val": "--set patience",
-    "pretrained": "--weights", "task": "--task",
-    **dict.fromkeys(
-        ("data", "mode", "project", "name", "save_dir", "exist_ok", "resume", "single_cls"), "nothing in its place"
-    ),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -94,11 +82,9 @@ def plan_training(
     """
     preset = request.chosen_preset()
     device = choose_device(request.device, planning=True)
-    require_arguments(preset, request)
-    if request.backend == "ultralytics":
-        start_weights.require_known(request.weights, request.task)
-    else:
-        start_weights.find_yolox_start(request.weights, preset)
+    backend = BACKENDS[request.backend]
+    backend.require_settings(preset, request.task)
+    backend.require_start(request.weights, preset, request.task)
     if out is not None and (out.exists() or partial_of(out).exists()):
         # Nothing is deleted: what may be replaced may also be resumed.
         with workspace(out, "training", RECORD, "refuse" if existing == "refuse" else "resume", keep=True):
@@ -126,8 +112,7 @@ def plan_of(wanted: Dataset, device: str, request: TrainRequest) -> TrainPlan:
         device=device,
         seconds=presets.estimate_seconds(preset, images, gpu=device != "cpu", threads=presets.cpu_threads()),
         disk_bytes=round(size + presets.weights_bytes(preset)), weights=Path(request.weights).name,
-        network=preset.model if request.backend == "yolox"
-        else start_weights.network_of(request.weights, preset, request.task),
+        network=BACKENDS[request.backend].network_of(request.weights, preset, request.task),
     )  # fmt: skip
 
 
@@ -162,46 +147,6 @@ def choose_device(wanted: str, *, planning: bool = False) -> str:
         f"--device {wanted}: torch {torch.__version__} {found}; expected one of them, or --device cpu. "
         "infrablend doctor lists the devices"
     )
-
-
-def require_backend(request: TrainRequest) -> None:
-    """Raise MissingDependencyError if a package that the training needs is missing."""
-    if request.backend == "yolox":
-        require_yolox()
-    else:
-        require_ultralytics()
-        if request.export:
-            require_onnx()
-
-
-def require_arguments(preset: Preset, request: TrainRequest = DEFAULT_TRAINING) -> None:
-    """Raise OutputError for arguments of the user that the trainer sets itself, or that the library refuses.
-
-    The latter are not checked where Ultralytics is missing. That check is slow: the presets' own arguments skip it.
-    """
-    if request.backend == "yolox":
-        require_yolox_settings(preset, request.task)
-        return
-    fixed = [k for k in _OF_TRAINER if k in preset.arguments]
-    if fixed:
-        raise OutputError(
-            "settings of the training",
-            [Problem(f"--set {k}", "setting-malformed", "an argument that InfraBlend sets itself", _OF_TRAINER[k])
-             for k in fixed],
-        )  # fmt: skip
-    own = PRESETS[preset.name].arguments if preset.name in PRESETS else {}
-    given = {k: v for k, v in preset.arguments.items() if k not in own or own[k] != v}
-    wrong = (
-        ultralytics_environment.wrong_arguments(given)
-        if given and not ultralytics_environment.missing_packages()
-        else ""
-    )
-    if wrong:
-        where = " ".join(f"--set {k}" for k in given)
-        raise OutputError(
-            "settings of the training",
-            [Problem(where, "setting-malformed", wrong, f"fields ({', '.join(PRESET_FIELDS)}) or Ultralytics' own")],
-        )
 
 
 log = logging.getLogger(__name__)
@@ -251,9 +196,10 @@ def train_dataset(
         RenderError: The trainer failed; its log gives the reason.
         Interrupted: The user stopped the training; `resume` continues it.
     """
-    require_backend(request)
+    backend = BACKENDS[request.backend]
+    backend.require_packages(export=bool(request.export))
     device = choose_device(request.device)
-    require_arguments(request.chosen_preset(), request)
+    backend.require_settings(request.chosen_preset(), request.task)
     wanted, left_out = select_training_data(dataset, request)
     request = request.fitted_to(wanted)
     preset = request.chosen_preset()
@@ -266,20 +212,17 @@ def train_dataset(
     }  # fmt: skip
     if has_deep_pictures(wanted):
         asked["agc"] = request.agc.model_dump()
-    weights = STATES if request.backend == "yolox" else WEIGHTS
-    # What `infrablend detect` reads of YOLOX is the ONNX file.
-    result = ONNX_WEIGHTS if request.backend == "yolox" else WEIGHTS
     with workspace(out, "training", RECORD, existing, keep=True, derived={ONNX_WEIGHTS}) as space:
         folder = space.folder
         record = None if space.state == "new" else cast("TrainingRecord | None", read_object(folder / RECORD))
         if record is not None:
             require_same(out, record, asked)
         if space.state == "complete":
-            if not (folder / weights).is_file():
-                raise OutputError(f"{out / weights}: is not there; train again with --overwrite")
+            if not (folder / backend.weights).is_file():
+                raise OutputError(f"{out / backend.weights}: is not there; train again with --overwrite")
             if request.export:
-                export_onnx(out / weights, record or {})
-            return TrainReport(out, out / result, record or {})
+                export_onnx(out / backend.weights, record or {})
+            return TrainReport(out, out / backend.result, record or {})
         if record is None or record.get("prepared") is None:
             if space.state == "started":
                 log.warning("%s: was not prepared to the end; the training starts again", out)
@@ -291,7 +234,7 @@ def train_dataset(
                 "left_out": left_out,
                 "sessions": [],
                 "machine": _machine_facts(device),
-                "start": _start(request, preset).facts(),
+                "start": backend.find_start(request.weights, preset, request.task).facts(),
             }
             if command := command_facts():
                 record["command"] = command[COMMAND]
@@ -301,16 +244,10 @@ def train_dataset(
         if "epochs_done" not in record:
             record = run_trainer(folder, record, preset, device, on_progress)
         _remove_working_files(folder)
-        if request.export or result == ONNX_WEIGHTS:
-            export_onnx(folder / weights, record)
+        if request.export or backend.result == ONNX_WEIGHTS:
+            export_onnx(folder / backend.weights, record)
         space.finish(record)
-    return TrainReport(out, out / result, record)
-
-
-def _start(request: TrainRequest, preset: Preset) -> start_weights.StartWeights:
-    if request.backend == "yolox":
-        return start_weights.find_yolox_start(request.weights, preset)
-    return start_weights.find_start(request.weights, preset, request.task)
+    return TrainReport(out, out / backend.result, record)
 
 
 def _remove_working_files(folder: Path) -> None:

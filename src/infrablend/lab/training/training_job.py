@@ -27,7 +27,7 @@ class Job:
     Attributes:
         data: Path of the data.yaml of the written data.
         out: Folder for checkpoint and weights.
-        model: File of weights or name of a network description.
+        model: File of weights, or name of a network or of its description, to start from scratch.
         device: `cpu`, `mps` or the number of a GPU.
         images: Number of images the train split must have.
         labels: Number of labels the train split must have.
@@ -39,7 +39,7 @@ class Job:
         agc: Automatic gain control that turned 16-bit pictures into the images, as JSON values; None for 8-bit ones.
         backend: Library that trains.
         classes: Names of the classes.
-        start: File of start weights of YOLOX; empty for none.
+        network: Name of the network; weights of Ultralytics bring their own along.
     """
 
     data: str
@@ -63,7 +63,7 @@ class Job:
     agc: Mapping[str, object] | None = None
     backend: Backend = "ultralytics"
     classes: Sequence[str] = ()
-    start: str = ""
+    network: str = ""
 
 
 @dataclass(frozen=True)

@@ -116,16 +116,15 @@ def _job(out: Path, record: TrainingRecord, preset: Preset, device: str) -> Job:
     epochs, shown = preset.epochs_for(prepared["images"])
     start = record["start"]
     backend = record.get("backend", "ultralytics")
-    is_yolox = backend == "yolox"
     return Job(
         data=str(real_path(out / DATA / "data.yaml")), out=str(real_path(out)), task=record["task"],
-        model=preset.model if is_yolox else start["model"], device=device, epochs=epochs, batch=preset.batch,
+        model=start["model"], device=device, epochs=epochs, batch=preset.batch,
         image_size=preset.image_size, tile=preset.tile, patience=preset.patience, seed=record["seed"],
         picture_px=prepared.get("picture_px", 0),
         images=prepared["images"], labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),
         val_images=prepared.get("images_val", 0) if preset.patience else 0,
         val_labels=prepared.get("labels_val", 0) if preset.patience else 0, agc=record.get("agc"),
-        backend=backend, classes=record["classes"], start=start["model"] if start["kind"] == "file" else "",
+        backend=backend, classes=record["classes"], network=preset.model,
     )  # fmt: skip
 
 

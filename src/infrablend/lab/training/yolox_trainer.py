@@ -62,7 +62,7 @@ def train_yolox(job: Job, say: Say) -> None:
         say("epoch", epoch=epoch + 1, epochs=job.epochs, batch=job.batch, losses=losses, metrics={})
     with replace_atomically(Path(job.out) / STATES) as temporary:
         torch.save(
-            {"network": job.model, "classes": list(job.classes), "model": training.average.state_dict()}, temporary
+            {"network": job.network, "classes": list(job.classes), "model": training.average.state_dict()}, temporary
         )
     say("end", epochs=reached.epochs, gate=reached.gate, losses=reached.losses, batch=min(job.batch, job.images),
         short_of_memory=False, precision=training.precision, threads=torch.get_num_threads(),
@@ -108,9 +108,9 @@ class YoloxTraining:
         self._arguments = {k: float(str(v)) for k, v in job.arguments.items()}
         self.device = torch.device(f"cuda:{job.device}" if job.device.isdigit() else job.device)
         reseed(job, 0)
-        network = make_network(job.model, len(job.classes))
-        if job.start and (left := load_states(network, Path(job.start))):
-            log.warning("%s: %d layers start from scratch: %s", job.start, len(left), ", ".join(left))
+        network = make_network(job.network, len(job.classes))
+        if job.model != job.network and (left := load_states(network, Path(job.model))):
+            log.warning("%s: %d layers start from scratch: %s", job.model, len(left), ", ".join(left))
         # With the channels innermost, convolutions are faster on a processor.
         layout = torch.channels_last if job.device == "cpu" else torch.contiguous_format
         self._network = network.to(self.device, memory_format=layout)
