@@ -254,6 +254,10 @@ FORMATS: tuple[Format, ...] = (
             "coco-tools", "COCO JSON for annotation tools: category ids from 1, no outline without a mask",
             fixed={"without_mask": "omit", "from_one": True}, takes=_set("ids pictures"), of="coco",
         ),
+        Writer(
+            "rf-detr", "COCO JSON beside the pictures, a folder per split, for RF-DETR and Roboflow",
+            fixed={"without_mask": "omit", "from_one": True, "beside": True}, takes=_set("ids pictures"), of="coco",
+        ),
     )),
     Format("yolo", "Ultralytics YOLO with a `data.yaml`: detect, OBB or segment", any_camera=True, writers=(
         _yolo("yolo", "Ultralytics YOLO, axis-aligned boxes", "boxes", "detect", "detect"),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats import dataset_folder, writing
 from infrablend.formats.labels import coco, cvat, label_studio
@@ -416,3 +417,19 @@ def test_coco_for_tools_counts_from_one_and_outlines_only_masks(tmp_path: Path) 
     assert [c["id"] for c in top["categories"]] == [1, 2, 3, 4, 5]
     assert [("segmentation" in a, a["category_id"]) for a in top["annotations"]] == [(False, 2), (False, 5), (True, 1)]
     assert coco.read(tmp_path / "out").images[0].instances[0].category == "Car"
+
+
+def test_rf_detr_finds_a_file_beside_the_pictures_of_each_split(tmp_path: Path) -> None:
+    images, categories = records(tmp_path / "source")
+    images = [replace(image, split=split) for image, split in zip(images, SPLITS, strict=False)]
+    done = writing.write("rf-detr", tmp_path / "out", images, categories)
+    assert not done.losses
+    for image in images:
+        folder = tmp_path / "out" / {"train": "train", "val": "valid", "test": "test"}[image.split]
+        top = json.loads((folder / "_annotations.coco.json").read_text())
+        assert [folder / i["file_name"] for i in top["images"]] == [folder / image.name]
+        assert (folder / image.name).read_bytes() == image.path.read_bytes()
+    found = dataset_folder.read(tmp_path / "out")
+    assert [(i.split, [o.category for o in i.instances]) for i in found.images] == [
+        (i.split, [o.category for o in i.instances]) for i in images
+    ]

@@ -27,7 +27,7 @@ DONT_CARE = Instance("DontCare", np.array([52.0, 0.0, 60.0, 8.0]), extra={"iscro
 
 every_writer = pytest.mark.parametrize("name", [w.name for w in WRITERS])
 DROP = ("anti-uav", "yolo", "yolo-obb", "yolo-seg", "birdsai")
-HOLD = ("coco", "coco-tools", "monet", "mot")
+HOLD = ("coco", "coco-tools", "rf-detr", "monet", "mot")
 
 
 def write(name: str, folder: Path, *objects: Instance, keep: bool = False) -> tuple[Mapping[str, int], list[Instance]]:

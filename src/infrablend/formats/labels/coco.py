@@ -80,6 +80,8 @@ _DIGITS = 9
 # Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.compose.inserts`.
 MEASURED = ("changed_grey", "contrast_grey", "scr")
 _ROBOFLOW = "_annotations.coco.json"
+# Folder of each split that RF-DETR and Roboflow read, with pictures and file.
+_BESIDE = {"train": "train", "val": "valid", "test": "test"}
 # FLIR's ADAS dataset v2: COCO's file, one with all that annotators drew, and which frames show the same.
 _FLIR = "coco.json"
 _UNFILTERED = "index.json"
@@ -121,12 +123,14 @@ def write(
     info: Mapping[str, object] | None = None,
     pictures: bool = False,
     from_one: bool = False,
+    beside: bool = False,
 ) -> Written:
     """Write one file per split that has images, see `coco_chunks`; `from_one` numbers the categories from 1.
 
     With `pictures`, the files are `out/annotations/instances_<split>.json`, and the pictures are hard-linked (copied
     where that is impossible) to `out/images/<split>/`. Without, the files are `out/<split>.json`; readers then expect
-    the pictures in `images/<split>/` in `out` or its parent folder.
+    the pictures in `images/<split>/` in `out` or its parent folder. With `beside`, the files are
+    `out/<train|valid|test>/_annotations.coco.json`, as RF-DETR and Roboflow read them, with the pictures in any case.
 
     Raises:
         OutputError: A file cannot be written.
@@ -137,10 +141,14 @@ def write(
         categories = numbered_from_one(categories)
     losses: Counter[str] = Counter()
     texts = coco_chunks(ordered, categories, losses, ids=ids, without_mask=without_mask, info=info)
-    prefix = "annotations/instances_" if pictures else ""
-    files = [write_chunks(out / f"{prefix}{name}", chunks) for name, chunks in texts.items()]
-    for image in ordered if pictures else ():
-        files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
+    if beside:
+        files = [write_chunks(out / _BESIDE[Path(name).stem] / _ROBOFLOW, chunks) for name, chunks in texts.items()]
+    else:
+        prefix = "annotations/instances_" if pictures else ""
+        files = [write_chunks(out / f"{prefix}{name}", chunks) for name, chunks in texts.items()]
+    for image in ordered if pictures or beside else ():
+        folder = _BESIDE[image.split] if beside else f"images/{image.split}"
+        files.append(link_or_copy(image.path, out / folder / image.name))
     return Written.of(files, losses)
 
 
