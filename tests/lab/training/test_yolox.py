@@ -33,8 +33,9 @@ def job_of(data: Path, out: Path, **changes: Any) -> Job:
     out.mkdir(exist_ok=True)
     arguments = {**ARGUMENTS, "warmup_epochs": 1.0}
     return replace(
-        Job(data=str(data / "data.yaml"), out=str(out), task="detect", model="yolox_n", device="cpu", epochs=2, batch=4,
-            image_size=160, patience=0, seed=0, images=6, labels=12, shown=6, arguments=arguments, backend="yolox",
+        Job(data=str(data / "data.yaml"), out=str(out), task="detect", model="yolox_n", network="yolox_n",
+            device="cpu", epochs=2, batch=4, image_size=160, patience=0, seed=0, images=6, labels=12, shown=6,
+            arguments=arguments, backend="yolox",
             classes=["car", "drone"]), **changes)  # fmt: skip
 
 
