@@ -21,8 +21,9 @@ from infrablend.config.recipe import MetricCamera
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import ImageRecord, KnownClass, known_class
 from infrablend.core.ground_plane import at_height, ground_z_m
+from infrablend.core.reference_sizes import REFERENCES
 from infrablend.formats import dataset_folder
-from infrablend.sampling.calibration import REFERENCES, size_ratio
+from infrablend.sampling.calibration import size_ratio
 
 BELOW_M = (75.0, 95.0, 115.0, math.inf)
 BELOW_DEG = (35.0, 65.0, math.inf)

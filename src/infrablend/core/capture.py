@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # the command line completes names of formats, which have fac
     from infrablend.core.temperature import Radiometry, TemperatureScale
 
 TimeOfDay = Literal["day", "dusk", "night", "dawn"]
-AltitudeOrigin = Literal["take-off", "laser"]
+AltitudeOrigin = Literal["take-off", "laser", "labels"]
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,8 @@ class Capture:
         time_of_day: Day, dusk, night or dawn.
         hfov_deg: Field of view across the width of the picture.
         roll_deg: Rotation of the camera about its axis, positive clockwise as seen from behind it.
-        altitude_from: Origin of a height that the aircraft measured: above the take-off point, or with a laser.
+        altitude_from: Origin of a height that is no nominal one: measured by the aircraft above the take-off point or
+            with a laser, or found by labels of known size (`infrablend camera`).
         sequence: Flight or clip of the picture.
         captured: Date or time of capture, ISO 8601.
         frame: Number of the picture in its sequence, at least 0.
@@ -116,7 +117,7 @@ class Capture:
     time_of_day: TimeOfDay | None = field(default=None, metadata={"fact": _one_of(*get_args(TimeOfDay))})
     hfov_deg: float | None = field(default=None, metadata={"fact": _number(0.1, 170, "degrees")})
     roll_deg: float | None = field(default=None, metadata={"fact": _roll()})
-    altitude_from: AltitudeOrigin | None = field(default=None, metadata={"fact": _one_of("take-off", "laser")})
+    altitude_from: AltitudeOrigin | None = field(default=None, metadata={"fact": _one_of(*get_args(AltitudeOrigin))})
     sequence: str | None = field(default=None, metadata={"fact": Fact(_name, "a name", "sequence")})
     captured: str | None = field(
         default=None, metadata={"fact": Fact(_text, "a date or time such as 2024-05-01T06:30:00+02:00", "sequence")}

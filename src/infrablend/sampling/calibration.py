@@ -19,12 +19,12 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance, KnownClass, known_class
 from infrablend.core.ground_plane import ground_point, ground_z_m
 from infrablend.core.mesh import FloatArray
+from infrablend.core.reference_sizes import REFERENCES, Reference, alike_sides, expected_sides
 
 NOMINAL_FACTOR = 1.15
 # Limits of the correction, as true over stated height: 1/1.1 to 1/0.65.
 FACTOR_BOUNDS = (1 / 1.1, 1 / 0.65)
 _MIN_SIDE_PX = 6.0
-_HEADINGS = np.deg2rad(np.arange(0.0, 180.0, 7.5))
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,13 @@ class HeightPrior:
 
 # Heights in file names and tables, as in HIT-UAV: 1.15 times too low, with the spread between its groups.
 FROM_TABLE = HeightPrior(NOMINAL_FACTOR, 0.16)
-PRIORS: Mapping[str, HeightPrior] = {"take-off": HeightPrior(1.0, 0.16), "laser": HeightPrior(1.0, 0.03)}
-"""Heights in a picture's own header, by their origin (`Capture.altitude_from`): above take-off, where only
-the relief between there and here is unknown, or from the laser range finder."""
+PRIORS: Mapping[str, HeightPrior] = {
+    "take-off": HeightPrior(1.0, 0.16),
+    "laser": HeightPrior(1.0, 0.03),
+    "labels": HeightPrior(1.0, 0.03),
+}
+"""Heights that are no nominal ones, by their origin (`Capture.altitude_from`): above take-off, where only the relief
+between there and here is unknown; from the laser range finder; or from the labels of a whole sequence."""
 
 
 def prior_of(heights: StatedHeights, picture: Capture) -> HeightPrior:
@@ -62,30 +66,6 @@ def prior_of(heights: StatedHeights, picture: Capture) -> HeightPrior:
         spread = flight.spread or spread
     low, high = (bound * (factor / NOMINAL_FACTOR) for bound in FACTOR_BOUNDS)
     return HeightPrior(factor, spread, (low, high), heights.references, heights.box_looseness)
-
-
-@dataclass(frozen=True)
-class Reference:
-    """A class of known size.
-
-    Attributes:
-        size_m: Length, width, height of the object, metres.
-        sd: Standard deviation of the logarithm of one reading.
-        turns: Whether the heading shows in the box. If not (people), the expected box is a mean over headings.
-    """
-
-    size_m: tuple[float, float, float]
-    sd: float
-    turns: bool = True
-
-
-# 1.68 m people with 0.45 m shoulders (about 0.5 m wide and 0.4 m deep with arms and stride); 4.6 x 1.8 m cars; 1.75 m
-# two-wheelers, most of them without a rider.
-REFERENCES: Mapping[KnownClass, Reference] = {
-    "person": Reference((0.4, 0.5, 1.68), 0.22, turns=False),
-    "car": Reference((4.6, 1.8, 1.45), 0.10),
-    "bicycle": Reference((1.75, 0.6, 1.05), 0.18),
-}
 
 
 @dataclass(frozen=True)
@@ -160,19 +140,10 @@ def size_ratio(camera: CameraSpec, ground_m: float, box_xyxy: FloatArray, refere
     place = ground_point(camera, (x0 + x1) / 2, (y0 + y1) / 2, ground_m + reference.size_m[2] / 2)
     if place is None:
         return None
-    length, breadth, tall = reference.size_m
-    box = np.array([(i, j, k) for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)])
-    c, s = np.cos(_HEADINGS), np.sin(_HEADINGS)
-    x = length * box[:, 0, None] * c - breadth * box[:, 1, None] * s
-    y = length * box[:, 0, None] * s + breadth * box[:, 1, None] * c
-    z = np.broadcast_to(tall * box[:, 2, None], x.shape)
-    points = np.stack([x, y, z], axis=-1) + place
-    xy, depth = camera.project(points.reshape(-1, 3))
-    if (depth <= 0.1).any():
+    middle = camera.to_camera(place[None])
+    sides = expected_sides(middle, camera.world_to_camera, camera.focal_px, reference)
+    if np.isnan(sides).any():
         return None
-    sides = np.ptp(xy.reshape(*x.shape, 2), axis=0)  # (headings, 2)
-    if reference.turns:
-        fit = np.abs(np.log(sides[:, 0] / sides[:, 1]) - math.log(width / height))
-        sides = sides[[int(np.argmin(fit))]]
-    seen = np.sqrt(sides[:, 0] * sides[:, 1]).mean()
+    chosen = alike_sides(sides, np.array([width]), np.array([height])) if reference.turns else sides[0]
+    seen = np.sqrt(chosen[:, 0] * chosen[:, 1]).mean()
     return float(math.sqrt(width * height) / seen)

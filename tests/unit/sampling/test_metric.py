@@ -14,7 +14,8 @@ from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance, boxes_of
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
-from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, REFERENCES, calibrate, prior_of
+from infrablend.core.reference_sizes import REFERENCES
+from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, calibrate, prior_of
 from infrablend.sampling.metric import is_even, relief_of
 from infrablend.sampling.placement import PlacementRequest, box_px, collides, volume_of
 from infrablend.sampling.scene_sampler import RecipeSampler, rebuild_scene
