@@ -18,19 +18,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.mesh import FloatArray
-from infrablend.core.reference_sizes import HEADINGS_RAD, REFERENCES, alike_sides, expected_sides
+from infrablend.core.quantiles import quantile
+from infrablend.core.reference_sizes import HEADINGS_RAD, REFERENCES, alike_headings, expected_sides
 
 # Pitches, degrees, from which the search begins, and number of boxes that it begins with.
-_BEGIN_DEG = (-5.0, 5.0, 15.0, 30.0, 45.0, 60.0, 80.0)
+_BEGIN_DEG = (-5.0, 0.0, 5.0, 15.0, 30.0, 45.0, 60.0, 80.0)
+_BEGIN_SHARES = (0.2, 0.5, 0.8)
 _FIRST_BOXES = 150
 _FIRST_STEPS = 8
 _STEPS = 30
 # Headings that are tried: a few are enough for the mean of people, whose headings do not show.
 _TRIED = HEADINGS_RAD[::2]
 _FEW = HEADINGS_RAD[::4]
-# Standard error of an edge of a box drawn by hand, px, and least relative error of a box.
+# Sizes of standing people, or of cars, scatter by this. What is farther off counts the less, the farther it is: it is
+# better to fit most boxes well than to fit all of them badly.
+_SCATTER = 0.07
+# Standard error of the side of a box drawn by hand, px.
 _EDGE_PX = 0.7
-_LEAST_SD = 0.04
 # Fields of view are about this wide where nothing states one: between half and twice as much in nineteen of twenty.
 _USUAL_HFOV_DEG = 35.0
 _LENS_SD = 0.35
@@ -39,8 +43,6 @@ _LEVEL_SD_RAD = np.radians(2.0)
 _TOLD_SD_RAD = np.radians(1.0)
 # Rays less steep than this count as this steep: no place is infinitely far away.
 _LEAST_DOWN = 1e-3
-# A median distance, times this, is the deviation of normal errors.
-_MEDIAN_TO_SD = 1.4826
 # The mean size of a class in one place differs from the known one by this share.
 _CLASS_SD = 0.04
 
@@ -95,8 +97,6 @@ class CameraFit:
         roll_rad: (spans,) roll.
         roll_sd: (spans,) its errors, radians.
         ratios: (n,) logarithms of sizes of boxes over expected sizes.
-        outlying: (n,) boxes that are no such objects on this ground.
-        cost: What is least for the best camera.
     """
 
     focal_px: float
@@ -108,8 +108,6 @@ class CameraFit:
     roll_rad: FloatArray
     roll_sd: FloatArray
     ratios: FloatArray
-    outlying: NDArray[np.bool_]
-    cost: float
 
 
 def axes_of(pitch_rad: FloatArray, roll_rad: FloatArray) -> FloatArray:
@@ -160,10 +158,17 @@ def fit_camera(
     first = _Search(spread, focal_px, pitch_rad, roll_rad)
     base = float(np.median(boxes.pitch_rad))
     begins = [0.0] if base or pitch_rad is not None else [float(p) for p in np.radians(_BEGIN_DEG)]
-    found = [first.best(first.start(begin), _FIRST_STEPS) for begin in begins]
+    starts = [first.start(begin, share) for begin in begins for share in _BEGIN_SHARES]
+    found = [first.best(start, _FIRST_STEPS) for start in starts]
     start = min(found, key=first.cost)
     search = _Search(boxes, focal_px, pitch_rad, roll_rad)
     return search.described(search.best(start, _STEPS))
+
+
+def size_ratios(boxes: SizedBoxes, fit: CameraFit) -> FloatArray:
+    """Return (n,) logarithms of sizes of boxes of the same spans over those that a camera gives."""
+    unknowns = np.concatenate([[np.log(fit.factor), np.log(fit.focal_px)], fit.pitch_rad, fit.roll_rad])
+    return _Search(boxes, None, None, None).ratios(unknowns)
 
 
 class _Search:
@@ -194,25 +199,29 @@ class _Search:
         self.free = np.ones(2 + 2 * self.spans, np.bool_)
         self.free[1] = focal_px is None
         self.free[2 : 2 + self.spans] = pitch_rad is None
-        self.scatter = np.hypot([REFERENCES[k].sd for k in boxes.kinds.tolist()], self._edge_sd())
+        self.headings = np.zeros(len(boxes), np.int64)
+        self.scatter = np.hypot(_SCATTER, self._edge_sd())
 
     def _edge_sd(self) -> FloatArray:
         side = np.minimum(*np.moveaxis(self.boxes.boxes[:, 2:] - self.boxes.boxes[:, :2], 1, 0))
         tall = self.boxes.boxes[:, 3] - self.boxes.boxes[:, 1]
         return np.asarray(_EDGE_PX / np.where(self.boxes.kinds == "person", tall, side))
 
-    def start(self, pitch_rad: float) -> FloatArray:
-        """Return unknowns with a pitch, and the height that most boxes agree with."""
+    def start(self, pitch_rad: float, share: float) -> FloatArray:
+        """Return unknowns with a pitch, and a height that a share of the boxes say is too large."""
         found = self.usual.copy()
         found[2 : 2 + self.spans] = pitch_rad if self.pitch_rad is None else self.pitch_rad
         found[0] = np.log(10.0 / np.median(self.boxes.height_m))
         # Sizes go with the height once more wherever the middle of an object is.
         for _ in range(3):
-            found[0] -= np.median(self.ratios(found))
+            found[0] -= quantile(self.ratios(found), share)
         return found
 
-    def ratios(self, unknowns: FloatArray) -> FloatArray:
-        """Return (n,) logarithms of sizes of boxes over the expected ones; people are compared by their height."""
+    def ratios(self, unknowns: FloatArray, *, keep_headings: bool = False) -> FloatArray:
+        """Return (n,) logarithms of sizes of boxes over the expected ones; people are compared by their height.
+
+        Others have the heading that is most like their box, or that of the last call: slopes are those of one heading.
+        """
         boxes = self.boxes
         focal = float(np.exp(unknowns[1]))
         pitch, roll = self.angles(unknowns, focal)
@@ -231,7 +240,9 @@ class _Search:
             headings = _TRIED if reference.turns else _FEW
             sides = expected_sides(middles, axes[of], focal, reference, headings)
             if reference.turns:
-                chosen = alike_sides(sides, width[of], tall[of])
+                if not keep_headings:
+                    self.headings[of] = alike_headings(sides, width[of], tall[of])
+                chosen = sides[np.arange(len(sides)), self.headings[of]]
                 found[of] = np.log(width[of] * tall[of] / (chosen[:, 0] * chosen[:, 1])) / 2
             else:
                 found[of] = np.log(tall[of] / sides[..., 1].mean(axis=1))
@@ -248,39 +259,28 @@ class _Search:
         """Return the cost of a camera: Cauchy's for boxes, squares for what is usual."""
         scaled = self.ratios(unknowns) / self.scatter
         usual = ((unknowns - self.usual) / self.loose) ** 2
-        return float(np.log1p(scaled**2).sum() + np.log(self.scatter).sum() + usual.sum() / 2)
+        return float(np.log1p(scaled**2).sum() + usual.sum() / 2)
 
     def best(self, unknowns: FloatArray, steps: int) -> FloatArray:
-        """Return the unknowns of least cost near these; the scatter of each class is that of its boxes from then on."""
-        for _ in range(2):
-            damping = 1e-3
-            cost = self.cost(unknowns)
-            for _ in range(steps):
-                slope, curve, _ = self._normal(unknowns)
-                step = np.linalg.solve(curve + damping * np.diag(np.diag(curve) + 1e-9), -slope)
-                tried = unknowns.copy()
-                tried[self.free] += np.clip(step, -0.3, 0.3)
-                lower = self.cost(tried)
-                if lower < cost:
-                    done = cost - lower < 1e-5 * len(self.boxes)
-                    unknowns = tried
-                    cost = lower
-                    damping = max(damping / 5, 1e-9)
-                    if done:
-                        break
-                elif damping > 1e6:
-                    break
-                else:
-                    damping *= 5
-            self._measure_scatter(unknowns)
+        """Return the unknowns of least cost near these, after at most so many steps."""
+        damping = 1e-3
+        cost = self.cost(unknowns)
+        for _ in range(steps):
+            slope, curve, _ = self._normal(unknowns)
+            step = np.linalg.solve(curve + damping * np.diag(np.diag(curve) + 1e-9), -slope)
+            tried = unknowns.copy()
+            tried[self.free] += np.clip(step, -0.3, 0.3)
+            lower = self.cost(tried)
+            if lower >= cost:
+                damping *= 5
+                continue
+            done = cost - lower < 1e-5 * len(self.boxes)
+            unknowns = tried
+            cost = lower
+            damping = max(damping / 5, 1e-9)
+            if done:
+                break
         return unknowns
-
-    def _measure_scatter(self, unknowns: FloatArray) -> None:
-        away = np.abs(self.ratios(unknowns))
-        for kind in np.unique(self.boxes.kinds).tolist():
-            of = self.boxes.kinds == kind
-            sd = np.clip(_MEDIAN_TO_SD * np.median(away[of]), _LEAST_SD, REFERENCES[kind].sd)
-            self.scatter[of] = np.hypot(sd, self._edge_sd()[of])
 
     def _normal(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return slope and curvature of the cost, by the free unknowns, and (n, free) slopes of single boxes."""
@@ -293,7 +293,7 @@ class _Search:
                 continue
             moved = unknowns.copy()
             moved[block] += 1e-5
-            change = (self.ratios(moved) - ratios) / 1e-5
+            change = (self.ratios(moved, keep_headings=True) - ratios) / 1e-5
             # A span's angles change the boxes of that span alone.
             columns = block[self.boxes.spans] if len(block) > 1 else np.full(len(ratios), block[0])
             changes[np.arange(len(ratios)), columns] = change
@@ -318,7 +318,6 @@ class _Search:
         # The larger of both estimates: with few objects the scatter of their slopes is small by chance.
         variance = np.maximum(np.diag(inverse @ scatter @ inverse), np.diag(inverse))
         sd[self.free] = np.sqrt(variance)
-        ratios = self.ratios(unknowns)
         pitches, rolls = slice(2, 2 + self.spans), slice(2 + self.spans, None)
         return CameraFit(
             float(np.exp(unknowns[1])),
@@ -329,7 +328,5 @@ class _Search:
             sd[pitches],
             unknowns[rolls],
             sd[rolls],
-            ratios,
-            np.abs(ratios) > 3 * self.scatter,
-            self.cost(unknowns),
+            self.ratios(unknowns),
         )

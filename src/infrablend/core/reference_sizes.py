@@ -72,14 +72,13 @@ def expected_sides(
     return np.asarray(focal_px * (seen.max(axis=2) - seen.min(axis=2)))
 
 
-def alike_sides(sides: FloatArray, width: FloatArray, height: FloatArray) -> FloatArray:
-    """Return (n, 2): of (n, headings, 2) sides those of the heading whose proportions are most like a box's.
+def alike_headings(sides: FloatArray, width: FloatArray, height: FloatArray) -> NDArray[np.int64]:
+    """Return (n,) numbers of the headings whose boxes have proportions most like those of given boxes.
 
     Args:
-        sides: Widths and heights of all headings; the first counts where they are NaN.
+        sides: (n, headings, 2) widths and heights of all headings; the first heading counts where they are NaN.
         width: (n,) widths of the boxes.
         height: (n,) heights of the boxes.
     """
     apart = np.abs(np.log(sides[..., 0] / sides[..., 1]) - np.log(width / height)[:, None])
-    best = np.argmin(np.nan_to_num(apart, nan=np.inf), axis=1)
-    return np.asarray(sides[np.arange(len(sides)), best])
+    return np.asarray(np.argmin(np.nan_to_num(apart, nan=np.inf), axis=1))

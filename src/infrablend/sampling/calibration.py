@@ -19,7 +19,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance, KnownClass, known_class
 from infrablend.core.ground_plane import ground_point, ground_z_m
 from infrablend.core.mesh import FloatArray
-from infrablend.core.reference_sizes import REFERENCES, Reference, alike_sides, expected_sides
+from infrablend.core.reference_sizes import REFERENCES, Reference, alike_headings, expected_sides
 
 NOMINAL_FACTOR = 1.15
 # Limits of the correction, as true over stated height: 1/1.1 to 1/0.65.
@@ -144,6 +144,8 @@ def size_ratio(camera: CameraSpec, ground_m: float, box_xyxy: FloatArray, refere
     sides = expected_sides(middle, camera.world_to_camera, camera.focal_px, reference)
     if np.isnan(sides).any():
         return None
-    chosen = alike_sides(sides, np.array([width]), np.array([height])) if reference.turns else sides[0]
+    chosen = sides[0]
+    if reference.turns:
+        chosen = chosen[alike_headings(sides, np.array([width]), np.array([height]))]
     seen = np.sqrt(chosen[:, 0] * chosen[:, 1]).mean()
     return float(math.sqrt(width * height) / seen)

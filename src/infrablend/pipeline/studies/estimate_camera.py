@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.camera_fit import CameraFit, fit_camera, turn_angles
+from infrablend.core.camera_fit import CameraFit, fit_camera, size_ratios, turn_angles
 from infrablend.core.capture import FACTS
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import write_text
@@ -53,6 +53,8 @@ _LESS_SCATTER = 0.8
 # Standard errors of a stated pitch, and of one by the row where sky and ground seem to meet.
 _STATED_SD_DEG = 1.0
 _SKYLINE_SD_DEG = 1.0
+# Logarithm of a size ratio beyond which a box is no such object on this ground.
+_OUTLYING = math.log(1.25)
 # Standard error of the pitch by upright lines, and size by which two classes contradict each other.
 _LINES_SD_DEG = 2.0
 _CLASSES_APART = 0.15
@@ -106,12 +108,14 @@ class ClassSizes:
 
     Attributes:
         boxes: Number of boxes.
+        objects: Number of objects, where tracks tell which are the same; else of boxes.
         offset: Median of how much larger they are.
         error: Median of how far they are from the expected size.
-        outlying: Boxes that are no such objects on this ground: sitting, hidden in part, on a roof, vans.
+        outlying: Boxes of another size by more than a quarter: sitting, hidden in part, on a roof, vans.
     """
 
     boxes: int
+    objects: int
     offset: float
     error: float
     outlying: int
@@ -390,7 +394,7 @@ def _described(
         values += _beside("pitch_deg", "horizon", pitch, middle, by_row, _SKYLINE_SD_DEG)
         values += _beside("pitch_deg", "upright lines", pitch, middle, by_lines, _LINES_SD_DEG)
     values += _height_and_roll(images, used, known, lines)
-    sizes = _sizes(used)
+    sizes = _sizes(images, used)
     estimate = CameraEstimate(
         name,
         len(images),
@@ -496,14 +500,19 @@ def _judged(values: Sequence[CameraValue]) -> Iterator[CameraValue]:
         yield replace(v, value=round(v.value, 2), half=round(v.half, 2))
 
 
-def _sizes(used: _Fitted) -> dict[str, ClassSizes]:
+def _sizes(images: Sequence[ImageRecord], used: _Fitted) -> dict[str, ClassSizes]:
+    """Return sizes of all boxes by class, also of those in the place of another."""
+    every = sized_boxes(images, used.seen.boxes.size_wh, used.turns, every=True)
+    boxes = every.boxes.part(np.isin(every.spans[every.boxes.spans], used.seen.spans))
+    ratios = size_ratios(boxes, used.fit)
     found = {}
-    for kind in np.unique(used.seen.boxes.kinds).tolist():
-        of = used.seen.boxes.kinds == kind
-        ratios = used.fit.ratios[of]
-        offset = math.expm1(float(np.median(ratios)))
-        error = math.expm1(float(np.median(np.abs(ratios))))
-        found[kind] = ClassSizes(len(ratios), round(offset, 3), round(error, 3), int(used.fit.outlying[of].sum()))
+    for kind in np.unique(boxes.kinds).tolist():
+        of = ratios[boxes.kinds == kind]
+        offset = math.expm1(float(np.median(of)))
+        error = math.expm1(float(np.median(np.abs(of))))
+        objects = len(np.unique(boxes.objects[boxes.kinds == kind]))
+        outlying = int((np.abs(of) > _OUTLYING).sum())
+        found[kind] = ClassSizes(len(of), objects, round(offset, 3), round(error, 3), outlying)
     return found
 
 
@@ -520,7 +529,7 @@ def _doubts(estimate: CameraEstimate) -> list[Problem]:
             text = f"no lens is stated or told: {v.value:g} degrees are assumed, within {v.half:g}"
             todo = "give --hfov; sizes of upright objects hardly depend on it, pitch and lengths along the view do"
             found.append(Problem(estimate.name, "lens-assumed", text, "a field of view", todo, "warning"))
-    apart = [s.offset for s in estimate.sizes.values() if s.boxes >= LEAST_BOXES]
+    apart = [s.offset for s in estimate.sizes.values() if s.objects >= LEAST_BOXES]
     if apart and max(apart) - min(apart) > _CLASSES_APART:
         text = ", ".join(f"{kind} {s.offset:+.0%}" for kind, s in estimate.sizes.items())
         todo = "look at the picture that --out writes: other objects, or ground of another height"

@@ -84,8 +84,10 @@ def find_turns(images: Sequence[ImageRecord], size_wh: tuple[int, int], on_pictu
     return Turns(spans, turned) if spans.max(initial=0) > 0 or moved > _STILL * size_wh[1] else None
 
 
-def sized_boxes(images: Sequence[ImageRecord], size_wh: tuple[int, int], turns: Turns) -> SeenBoxes:
-    """Return the boxes of known size, one of each place; those that the picture's edge cuts are left out."""
+def sized_boxes(
+    images: Sequence[ImageRecord], size_wh: tuple[int, int], turns: Turns, *, every: bool = False
+) -> SeenBoxes:
+    """Return the boxes of known size, one of each place, or `every` one; those that the picture's edge cuts are not."""
     left_out: Counter[str] = Counter()
     kept: list[tuple[int, Instance, FloatArray]] = []
     places: dict[tuple[str, int], list[FloatArray]] = {}
@@ -99,7 +101,7 @@ def sized_boxes(images: Sequence[ImageRecord], size_wh: tuple[int, int], turns: 
             before = places.setdefault((kind, span), [])
             middle = turns.turned[number] @ [*(box[:2] + box[2:]) / 2, 1.0]
             there = np.array([*middle[:2] / middle[2], box[3] - box[1]])
-            if reason is None and before and _is_near(there, np.array(before)):
+            if reason is None and before and not every and _is_near(there, np.array(before)):
                 reason = "in the place of another"
             if reason is not None:
                 left_out[reason] += 1
