@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from infrablend.pipeline.extraction.count_scale import CountScale
     from infrablend.pipeline.extraction.temperature_pictures import TemperaturesReport
     from infrablend.pipeline.extraction.video_frames import FramesReport
+    from infrablend.pipeline.studies.estimate_camera import CameraReport, CameraSettings
     from infrablend.pipeline.studies.profile import ProfileReport
     from infrablend.pipeline.studies.surface_maps import LearnedReport, PlacesReport
     from infrablend.report.checking import CheckReport
@@ -211,6 +212,31 @@ def profile(
     inserts = None if rendered is None else read_dataset(rendered)
     return profile_dataset(
         dataset, Path(out), count=count, name=name, against=against, rendered=inserts, on_progress=on_progress
+    )
+
+
+def estimate_camera(
+    data: str | Path,
+    out: str | Path | None = None,
+    settings: CameraSettings | None = None,
+    *,
+    reading: Reading = READ_ALL,
+    overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+) -> CameraReport:
+    """Estimate pitch, roll, height and lens of each sequence's camera, from labelled people, cars and bicycles.
+
+    `out` is the table to write, for `Reading(metadata=...)`, with a picture of the ground beside it; None writes
+    nothing. Without sequences, pictures that state the same pitch and height have one camera.
+    """
+    from infrablend.pipeline.studies import estimate_camera as estimating
+
+    return estimating.estimate_camera(
+        read_dataset(data, reading),
+        None if out is None else Path(out),
+        settings or estimating.AS_STATED,
+        overwrite=overwrite,
+        on_progress=on_progress,
     )
 
 

@@ -36,6 +36,7 @@ COMMANDS: dict[str, _Function | str] = {
     "convert": dataset_commands.convert,
     "preview": run_commands.preview,
     "report": run_commands.report,
+    "camera": camera_commands.camera,
     "profile": camera_commands.profile,
     "motion": camera_commands.find_motion,
     "rerender": run_commands.rerender,

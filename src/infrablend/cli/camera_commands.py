@@ -1,4 +1,4 @@
-"""Commands about cameras and their pictures: `frames`, `temperatures`, `profile`, `motion` and `places`."""
+"""Commands about cameras and their pictures: `frames`, `temperatures`, `camera`, `profile`, `motion` and `places`."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from infrablend.core.surface_kinds import SURFACES
 from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
+    from infrablend.api import CameraEstimate
     from infrablend.pipeline.extraction.temperature_pictures import TemperaturesReport
     from infrablend.pipeline.extraction.video_frames import Clip
     from infrablend.pipeline.studies.profile import ObjectFigures, ProfileReport
@@ -140,6 +141,51 @@ def _temperatures(report: TemperaturesReport) -> dict[str, str]:
     for s in report.spots:
         rows[f"{s.spot.file}:{s.spot.xy[0]},{s.spot.xy[1]}={s.spot.celsius:g}"] = s.describe()
     return rows
+
+
+def camera(
+    session: JsonSession,
+    *,
+    data: DatasetArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Table to write for --metadata, such as metadata.csv; beside it FILE.png, the ground."
+        ),
+    ] = None,
+    settings: Annotated[
+        api.CameraSettings, Fields(hfov_deg=typer.Option("--hfov", min=0.1, max=170, metavar="DEGREES"))
+    ],
+    reading: ReadingOptions,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier table.")] = False,
+) -> None:
+    """Estimate pitch, roll, height and lens of each sequence's camera from labelled people, cars and bicycles.
+
+    What the data state, the horizon, upright lines and the overlap of flights are compared with it.
+    """
+    with shown_progress(session, "looking") as on_progress:
+        report = api.estimate_camera(data, out, settings, reading=reading, overwrite=overwrite, on_progress=on_progress)
+    written = [str(path) for path in report.written]
+    blocks = (_camera(one) for one in report.cameras)
+    record = session.log_path or Path()
+    show_report(session, report, record, report.to_json(), lambda: "\n\n".join([*blocks, *written]))
+
+
+def _camera(found: CameraEstimate) -> str:
+    how = "turns" if found.turns else "is still, or states how it moves"
+    rows = [[v.name, v.source, f"{v.value:g}", f"+- {v.half:g}", v.verdict] for v in found.values]
+    sizes = [
+        [kind, s.boxes, s.objects, f"{s.offset:+.1%}", f"{s.error:.1%}", s.outlying] for kind, s in found.sizes.items()
+    ]
+    left_out = [f"left out: {', '.join(f'{n} {reason}' for reason, n in found.left_out.items())}"]
+    return "\n".join(
+        [
+            f"{found.name}: {found.known} of {found.pictures} pictures; the camera {how}",
+            grid(["value", "by", "median", "95 %", ""], rows),
+            grid(["labels", "boxes", "objects", "larger by", "error", "other sizes"], sizes),
+            *(left_out if found.left_out else []),
+        ]
+    )
 
 
 def profile(

@@ -168,7 +168,7 @@ def fit_camera(
 def size_ratios(boxes: SizedBoxes, fit: CameraFit) -> FloatArray:
     """Return (n,) logarithms of sizes of boxes of the same spans over those that a camera gives."""
     unknowns = np.concatenate([[np.log(fit.factor), np.log(fit.focal_px)], fit.pitch_rad, fit.roll_rad])
-    return _Search(boxes, None, None, None).ratios(unknowns)
+    return _Search(boxes, None, fit.pitch_rad, None).ratios(unknowns)
 
 
 class _Search:
@@ -185,7 +185,7 @@ class _Search:
         self.boxes = boxes
         self.focal_px = focal_px
         self.pitch_rad = pitch_rad
-        self.spans = int(boxes.spans.max()) + 1
+        self.spans = int(boxes.spans.max()) + 1 if pitch_rad is None else len(pitch_rad)
         usual = boxes.size_wh[0] / 2 / np.tan(np.radians(_USUAL_HFOV_DEG) / 2)
         self.usual = np.zeros(2 + 2 * self.spans)
         self.usual[1] = np.log(focal_px or usual)
@@ -238,7 +238,7 @@ class _Search:
             above = np.maximum(height[of] - reference.size_m[2] / 2, 0.05 * height[of])
             middles = rays[of] * (above / np.maximum(down[of], _LEAST_DOWN))[:, None]
             headings = _TRIED if reference.turns else _FEW
-            sides = expected_sides(middles, axes[of], focal, reference, headings)
+            sides = expected_sides(middles, axes[of], focal, reference.corners(shaped=True), headings)
             if reference.turns:
                 if not keep_headings:
                     self.headings[of] = alike_headings(sides, width[of], tall[of])

@@ -172,9 +172,13 @@ def draw_ground(plain: Rgb, labels: Sequence[Instance], camera: CameraSpec, grou
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
         draw_polygon(canvas, corners, _LABELLED, SCALE, (0, 0))
         size = {"person": PERSON_M, "car": CAR_M}.get(known_class(label.category) or "")
-        place = ground_point(camera, float(x0 + x1) / 2, float(y0 + y1) / 2, ground_m)
-        if size is None or place is None or references >= _MAX_REFERENCES:
+        if size is None or references >= _MAX_REFERENCES:
             continue
+        # Its middle is the box's: low cameras see the ground there far behind it.
+        place = ground_point(camera, float(x0 + x1) / 2, float(y0 + y1) / 2, ground_m + size[2] / 2)
+        if place is None:
+            continue
+        place[2] = ground_m
         references += 1
         aside = 1.0 if size is PERSON_M else 4.0
         _draw_cuboid(canvas, camera, place + np.array([aside, 0, 0]), size, _PERSON if size is PERSON_M else _CAR)

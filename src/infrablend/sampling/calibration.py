@@ -141,7 +141,7 @@ def size_ratio(camera: CameraSpec, ground_m: float, box_xyxy: FloatArray, refere
     if place is None:
         return None
     middle = camera.to_camera(place[None])
-    sides = expected_sides(middle, camera.world_to_camera, camera.focal_px, reference)
+    sides = expected_sides(middle, camera.world_to_camera, camera.focal_px, reference.corners(shaped=False))
     if np.isnan(sides).any():
         return None
     chosen = sides[0]

@@ -503,7 +503,9 @@ def _judged(values: Sequence[CameraValue]) -> Iterator[CameraValue]:
 def _sizes(images: Sequence[ImageRecord], used: _Fitted) -> dict[str, ClassSizes]:
     """Return sizes of all boxes by class, also of those in the place of another."""
     every = sized_boxes(images, used.seen.boxes.size_wh, used.turns, every=True)
-    boxes = every.boxes.part(np.isin(every.spans[every.boxes.spans], used.seen.spans))
+    spans = every.spans[every.boxes.spans]
+    kept = np.isin(spans, used.seen.spans)
+    boxes = replace(every.boxes, spans=np.searchsorted(used.seen.spans, spans)).part(kept)
     ratios = size_ratios(boxes, used.fit)
     found = {}
     for kind in np.unique(boxes.kinds).tolist():
