@@ -218,7 +218,7 @@ class _Search:
         return found
 
     def ratios(self, unknowns: FloatArray, *, keep_headings: bool = False) -> FloatArray:
-        """Return (n,) logarithms of sizes of boxes over the expected ones; people are compared by their height.
+        """Return (n,) logarithms of sizes of boxes over the expected ones, of people by their height.
 
         Others have the heading that is most like their box, or that of the last call: slopes are those of one heading.
         """
@@ -245,7 +245,10 @@ class _Search:
                 chosen = sides[np.arange(len(sides)), self.headings[of]]
                 found[of] = np.log(width[of] * tall[of] / (chosen[:, 0] * chosen[:, 1])) / 2
             else:
-                found[of] = np.log(tall[of] / sides[..., 1].mean(axis=1))
+                # Arms and strides widen people; from above, where height is little, both sides count.
+                steep = (down[of] / np.linalg.norm(rays[of], axis=1)) ** 2 / 2
+                wide, high = np.log(np.column_stack([width[of], tall[of]]) / sides.mean(axis=1)).T
+                found[of] = steep * wide + (1 - steep) * high
         return np.nan_to_num(found, nan=-3.0)
 
     def angles(self, unknowns: FloatArray, focal_px: float) -> tuple[FloatArray, FloatArray]:

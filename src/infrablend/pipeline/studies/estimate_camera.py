@@ -309,7 +309,7 @@ def _estimate(name: str, images: list[ImageRecord], settings: CameraSettings, re
         raise _too_few(name, sized_boxes(images, size_wh, ways[-1]))
     best = tried[-1] if tried[-1].scatter < _LESS_SCATTER * tried[0].scatter else tried[0]
     labels = best
-    if stated and (not best.told.all() or _confirmed(best.fit)):
+    if stated:
         held = np.zeros(len(best.fit.pitch_rad))
         best = replace(best, fit=fit_camera(best.seen.boxes, focal_px, held))
     elif not best.told.any():
@@ -330,11 +330,6 @@ def _fitted(
     if level and np.isfinite(rolls).any():
         fit = fit_camera(seen.boxes, focal_px, roll_rad=rolls)
     return _Fitted(turns, seen, fit)
-
-
-def _confirmed(fit: CameraFit) -> bool:
-    """Return whether labels agree with the stated pitch."""
-    return bool((np.abs(fit.pitch_rad) <= _WIDE * np.hypot(fit.pitch_sd, math.radians(_STATED_SD_DEG))).all())
 
 
 def _stated_lens(images: Sequence[ImageRecord], settings: CameraSettings) -> CameraValue | None:
@@ -448,17 +443,15 @@ def _lens_values(used: _Fitted, lens: CameraValue | None, image: ImageRecord) ->
 def _pitch_values(
     images: Sequence[ImageRecord], used: _Fitted, labels: _Fitted, pitch: Mapping[int, float]
 ) -> Iterator[CameraValue]:
-    """Yield the pitch by labels, and the stated one."""
+    """Yield the pitch by labels, and the stated one, which is used where it is known."""
     middle = float(np.median([*pitch.values()]))
     offset = math.degrees(float(np.median(labels.fit.pitch_rad)))
     half = _WIDE * math.degrees(float(np.median(labels.fit.pitch_sd)))
     stated = [i.capture.pitch_deg for i in images if i.capture.pitch_deg is not None]
     if used is labels:
         yield CameraValue("pitch_deg", "labels", middle, half, "used")
-    if stated:
-        verdict: Verdict = "contradicts" if used is labels else "used"
-        yield CameraValue("pitch_deg", "stated", float(np.median(stated)), _WIDE * _STATED_SD_DEG, verdict)
     if used is not labels:
+        yield CameraValue("pitch_deg", "stated", float(np.median(stated)), _WIDE * _STATED_SD_DEG, "used")
         yield CameraValue("pitch_deg", "labels", middle + offset, half)
 
 
