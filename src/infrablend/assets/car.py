@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infrablend.assets import shapes
+from infrablend.assets.cool_ground import SHADE_RINGS, shade_roles, shade_sheet
 from infrablend.assets.model import (
     LOW_SUN,
     SHADOW_PARAM,
@@ -80,15 +80,12 @@ GROUND_RINGS: Mapping[str, tuple[float, float]] = {
     "ground_near": (0.15, 0.42), "ground_mid": (0.35, 0.28), "ground_far": (0.6, 0.12), "ground_edge": (0.85, 0.03),
 }  # fmt: skip
 _GROUND_K = (0.0, 4.0)
-# By day it keeps the sun off the ground beside it: a translucent sheet, through which the texture of the ground shows.
-# Shaded ground is near the air's temperature; it was in the sun an hour or two ago (est.).
-SHADOW = "ground_shadow"
-_SHADOW_K = (-1.0, 3.0)
-_SHADOW_OPACITY = 0.6
+# By day it keeps the sun off the ground, for minutes or hours: rays of 300 to 640 W/m² on level ground, of which paving
+# absorbs 0.65 to 0.85, take 2 to 10 K.
+_SHADE_K = (-9.0, -2.0)
 # A long shadow at dusk moves by its own width within the hour, and the low sun hardly warms what lies beside it. At
 # dawn there is none: the ground has the temperature of the night inside and outside (est.).
-_DUSK_SHADOW_K = (-1.0, 0.5)
-_DUSK_SHADOW_OPACITY = 0.25
+_DUSK_SHADE_K = (-1.5, -0.3)
 
 # Clear night, parked for hours: surfaces that face the sky are below air temperature, a roof by 8.5 K without wind and
 # by 4 K at 3 m/s (energy balance). The middle of that range is drawn: the middle of HIT-UAV's median car is 46 +- 12
@@ -131,17 +128,26 @@ _DAY_SUN: Mapping[str, Range] = {
 }  # fmt: skip
 
 # In scenes with a sun: share of sunlight that paint absorbs (1 minus the reflectance of car bodies: black 0.05, silver
-# 0.57, white 0.6 and more), and surface minus air without sunlight. Panels cool towards the sky; the cabin of a parked
-# car warms its glass from inside (est.).
+# 0.57, white 0.6 and more), and surface minus air without sunlight. Panels and screens cool towards the sky.
 _ABSORPTIVITY: Mapping[str, Range] = {
     "black": (0.90, 0.95), "grey": (0.65, 0.85), "silver": (0.40, 0.50), "white": (0.25, 0.40),
 }  # fmt: skip
 _DAY_SHADE_K: Range = (-2.0, 1.0)
 _DAY_SHADE: Mapping[str, Range] = {
-    **dict.fromkeys(("side", "front", "rear", "underbody", "tyre", "rim", "grille", "brake"), (-1.0, 2.0)),
-    **dict.fromkeys(("windscreen", "rear_window", "window", "sunroof"), (1.0, 8.0)),
+    # Level panels lose some 63 W/m² to a clear sky, 3 to 4 K, upright ones nothing: the correction of ASHRAE's sol-air
+    # temperature. Frames, doors and bumpers get heat from inside and from sunlit ground (est.): the bright outline of
+    # HIT-UAV's cars by day.
+    **dict.fromkeys(("roof", "bonnet", "boot", "cowl"), (-4.5, -2.0)),
+    **dict.fromkeys(("side", "front", "rear"), (0.5, 4.5)),
+    **dict.fromkeys(("underbody", "tyre", "rim", "grille", "brake"), (-1.0, 2.0)),
+    "pillar": (1.0, 5.0), "wing": (0.0, 4.0), "trim": (0.0, 3.0),
+    **dict.fromkeys(("windscreen", "rear_window", "sunroof"), (-4.0, 1.0)),
+    "window": (-2.0, 3.0),
     "exhaust": (0.0, 4.0),
 }  # fmt: skip
+# Wind of driving takes the sun's heat off: 6.47 v^0.78 and radiation, with v of 8 to 15 m/s.
+_DRIVING_W_M2_K = 45.0
+_IN_THE_WIND = ("car_paint", "glass", "plastic")
 
 
 # What stores heat: at dusk warm from the day, at dawn nearly as cold as the air, unless the engine heats it (est.).
@@ -174,9 +180,7 @@ def parts_for(params: Params) -> dict[str, PartRange]:
             delta = overcast = between(at_night, (0.0, 0.0), _AT_DAWN if parked else 0.0)
         sun = replace(role.sun, shade_k=delta, overcast_k=overcast)
         roles[part] = replace(role, delta_t_k=delta, sun=sun)
-    if SHADOW in roles:
-        roles[SHADOW] = replace(roles[SHADOW], delta_t_k=_DUSK_SHADOW_K, opacity=_DUSK_SHADOW_OPACITY)
-    return roles
+    return {**roles, **shade_roles(_DUSK_SHADE_K)} if params.get(SHADOW_PARAM) else roles
 
 
 def _parts_for(params: Params) -> dict[str, PartRange]:
@@ -186,7 +190,7 @@ def _parts_for(params: Params) -> dict[str, PartRange]:
     for part, (_, opacity) in GROUND_RINGS.items():
         roles[part] = warm_ground_role("asphalt", _GROUND_K, what, opacity, sheltered=True)
     if params.get(SHADOW_PARAM):
-        roles[SHADOW] = _shadow_role()
+        roles |= shade_roles(_SHADE_K)
     if params["state"] in ("day_sun", "day_driven"):
         driven = _DRIVEN if params["state"] == "day_driven" else {}
         for part, (kind, _) in _SURFACES.items():
@@ -194,14 +198,9 @@ def _parts_for(params: Params) -> dict[str, PartRange]:
             engine = driven.get(part, (cold, warm))
             shade = max(cold, engine[0]), max(warm, engine[1])
             paint = _ABSORPTIVITY[params["colour"]] if kind == "car_paint" else None
-            roles[part] = replace(roles[part], sun=sun_response(kind, shade, kind, paint))
+            exchange = _DRIVING_W_M2_K if driven and kind in _IN_THE_WIND else None
+            roles[part] = replace(roles[part], sun=sun_response(kind, shade, kind, paint, exchange))
     return roles
-
-
-def _shadow_role() -> PartRange:
-    what = "ground in the car's shade (est.)"
-    role = part_role("asphalt", _SHADOW_K, what, label=False, opacity=_SHADOW_OPACITY)
-    return replace(role, ground=True)
 
 
 def _deltas(state: str, colour: str) -> dict[str, Range]:
@@ -216,7 +215,7 @@ def _deltas(state: str, colour: str) -> dict[str, Range]:
 
 
 PARTS: Mapping[str, PartRange] = parts_for({"state": "parked_cold", "colour": "grey"})
-_PART_NAMES = (*PARTS, SHADOW)
+_PART_NAMES = (*PARTS, *SHADE_RINGS)
 _PANELS = [_PART_NAMES.index(part) for part in ("roof", "pillar", "side", "wing", "front", "rear")]
 _LID = [_PART_NAMES.index(part) for part in ("bonnet", "cowl")]
 
@@ -769,7 +768,7 @@ def build_car(params: Params) -> Mesh:
         pieces = [*pieces, rings]
         vertices = np.concatenate([vertices, rings[1]])
     if params.get(SHADOW_PARAM):
-        pieces = [*pieces, _ground_shadow(vertices, params[SHADOW_PARAM])]
+        pieces = [*pieces, _ground_shade(vertices, params[SHADOW_PARAM])]
         vertices = np.concatenate([vertices, pieces[-1][1]])
     first = np.cumsum([0, *(len(v) for _, v, _, _ in pieces[:-1])])
     parts = np.concatenate([p for p, _, _, _ in pieces])
@@ -822,19 +821,11 @@ def _casts_shadow(params: Params) -> bool:
     return params["time_of_day"] == "dusk" and params["state"] in ("day_sun", "parked_cold")
 
 
-def _ground_shadow(vertices: FloatArray, shift_xy: ArrayLike) -> Piece:
-    """Return the shadow as a flat sheet just above the ground: the hull of the vertices along the sun's rays."""
-    flat = vertices[:, :2] + vertices[:, 2:] * np.asarray(shift_xy, np.float64)
-    points = np.concatenate([flat, vertices[:, :2]]).astype(np.float32)
-    hull = cv2.convexHull(points)[:, 0].astype(np.float64)
-    # OpenCV's order depends on its version; ours is counter-clockwise seen from above.
-    x, y = hull.T
-    if float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) < 0:
-        hull = hull[::-1]
-    n = np.arange(1, len(hull) - 1, dtype=np.int32)
-    triangles = np.stack([np.zeros_like(n), n, n + 1], axis=1)
-    sheet = np.concatenate([hull, np.full((len(hull), 1), 0.005)], axis=1)
-    return np.full(len(triangles), _PART_NAMES.index(SHADOW), np.int32), sheet, triangles, False
+def _ground_shade(vertices: FloatArray, shift_xy: ArrayLike) -> Piece:
+    """Return the sheet of ground that the car keeps the sun off."""
+    sheet, triangles, ring = shade_sheet(vertices, shift_xy)
+    parts = np.array([_PART_NAMES.index(part) for part in SHADE_RINGS], np.int32)[ring]
+    return parts, sheet, triangles, True
 
 
 MODEL = ObjectModel(
@@ -845,7 +836,7 @@ MODEL = ObjectModel(
     stands=True,
     # Car parks are roads to the model of surfaces.
     surfaces={"road": 1.0, "track": 0.5},
-    parts={**PARTS, SHADOW: _shadow_role()},
+    parts={**PARTS, **shade_roles(_SHADE_K)},
     sample=sample_params,
     build=build_car,
     options={

@@ -46,14 +46,17 @@ class SunResponse:
     overcast_k: Range | None = None
 
 
-def sun_response(kind: str, shade_k: Range, surface: str, absorptivity: Range | None = None) -> SunResponse:
+def sun_response(
+    kind: str, shade_k: Range, surface: str, absorptivity: Range | None = None, exchange_w_m2_k: float | None = None
+) -> SunResponse:
     """Return the response of a part of a material to sunlight.
 
-    `shade_k` is surface minus air temperature without sunlight; absorptivity is by default that of the material.
+    `shade_k` is surface minus air temperature without sunlight; absorptivity and exchange are by default those of the
+    material.
     """
-    sunlit = SUNLIT[kind]
-    low, high = absorptivity or sunlit.absorptivity
-    return SunResponse(shade_k, (1000 * low / sunlit.exchange_w_m2_k, 1000 * high / sunlit.exchange_w_m2_k), surface)
+    low, high = absorptivity or SUNLIT[kind].absorptivity
+    exchange = exchange_w_m2_k or SUNLIT[kind].exchange_w_m2_k
+    return SunResponse(shade_k, (1000 * low / exchange, 1000 * high / exchange), surface)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import pytest
 from infrablend.assets import car
 from infrablend.assets.car import MODEL, NOMINAL
 from infrablend.assets.catalogue import load_model
+from infrablend.assets.cool_ground import SHADE_RINGS
 from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
 from infrablend.core.mesh import Mesh
@@ -103,9 +104,9 @@ def test_visible_options() -> None:
 def test_roles_cover_the_same_parts_in_every_state(state: str) -> None:
     for colour in COLOURS:
         roles = MODEL.roles({**NOMINAL, "state": state, "colour": colour})
-        assert [*roles, "ground_shadow"] == list(MODEL.parts)
+        assert [*roles, *SHADE_RINGS] == list(MODEL.parts)
         shadowed = MODEL.roles({**NOMINAL, "state": state, "colour": colour, "shadow_xy": [1.0, 0.5]})
-        assert set(shadowed) == set(MODEL.parts) and not shadowed["ground_shadow"].label
+        assert set(shadowed) == set(MODEL.parts) and not any(shadowed[ring].label for ring in SHADE_RINGS)
         for part, role in roles.items():
             assert role.delta_t_k[0] <= role.delta_t_k[1] <= 250, part
             assert 0.8 <= role.emissivity[0] <= role.emissivity[1] <= 1
@@ -172,7 +173,7 @@ def test_draws_fit_their_body_and_show_every_part() -> None:
         assert low <= d["length_m"] <= high
         assert not d["panelled"] or d["body"] == "van"
     built = {p for d in draws[:60] for p in MODEL.build(d).part_names}
-    assert built == set(MODEL.parts) - set(car.GROUND_RINGS) - {car.SHADOW}
+    assert built == set(MODEL.parts) - set(car.GROUND_RINGS) - set(SHADE_RINGS)
 
 
 def test_sheltered_ground_is_no_part_of_the_cars_label() -> None:
@@ -222,3 +223,27 @@ def test_a_build_takes_few_steps() -> None:
     finally:
         sys.setprofile(before)
     assert 1_000 < calls < 30_000  # 9,064 with Python 3.11 and numpy 2
+
+
+def test_the_sun_took_the_shade_around_the_car_and_left_a_soft_edge() -> None:
+    params = {**NOMINAL, "state": "day_sun"}
+    bare, shaded = MODEL.build(params), MODEL.build({**params, "shadow_xy": [0.0, -1.5]})
+    sheet = shaded.vertices_m[len(bare.vertices_m) :]
+    width = float(vertices_of(bare, "side")[:, 1].max())
+    height = float(vertices_of(bare, "roof")[:, 2].max())
+    # To the right, the way of the rays, as far as the roof's shadow now and two hours ago; to the left a rim.
+    assert -sheet[:, 1].min() == pytest.approx(width + 1.5 * height, abs=0.6)
+    assert 0.1 < sheet[:, 1].max() - width < 0.5
+    # From inside to outside, the rings take less and less light, and the middle most: always cool, never warm.
+    roles = MODEL.roles({**params, "shadow_xy": [0.0, -1.5]})
+    opacities = [roles[ring].opacity for ring in SHADE_RINGS]
+    assert opacities == sorted(opacities) and max(np.diff(opacities)) <= 0.25 and opacities[0] < 0.05
+    assert all(roles[ring].glow and roles[ring].delta_t_k[1] < 0 for ring in SHADE_RINGS)
+    # The sun has turned clockwise: two hours ago the shadow lay further counter-clockwise, beside the nose.
+    assert sheet[:, 0].max() > 0.3 - sheet[:, 0].min()
+
+
+def test_panels_of_a_moving_car_keep_less_of_the_sun() -> None:
+    parked, moving = (MODEL.roles({**NOMINAL, "state": s})["roof"].sun for s in ("day_sun", "day_driven"))
+    assert parked is not None and moving is not None
+    assert moving.rise_k[1] < 0.5 * parked.rise_k[1] and moving.shade_k[1] <= parked.shade_k[1]

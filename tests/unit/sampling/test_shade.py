@@ -54,8 +54,8 @@ def test_parked_cars_throw_a_shadow_that_no_label_counts():
     scene, recipe, models, site = sampled("car", EVEN, "objects.0.options={state: day_sun}")
     (car,) = scene.objects
     state = car.spec.parts["ground_shadow"]
-    assert not state.label and state.opacity < 1 and state.sun_k == 0
-    assert state.temperature_k < scene.spec.weather.ground_k
+    assert not state.label and state.glow and state.sun_k == 0
+    assert state.temperature_k < scene.spec.weather.air_k
     plain = models["car"].build({k: v for k, v in car.spec.params.items() if k != "shadow_xy"})
     assert np.array_equal(car.mesh.triangles[: len(plain.triangles)], plain.triangles)
     shadow = car.mesh.vertices_m[len(plain.vertices_m) :]
