@@ -131,9 +131,11 @@ def find_ground_edges(
         boxes_xyxy: (n, 4) boxes of objects and texts, whose edges do not count.
         margin: (h, w) mask of margins where the camera saw nothing; None without any.
     """
-    grey = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), _SMOOTH_PX)
-    gx, gy = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
-    strength = np.hypot(gx, gy)
+    # Whole numbers, which every processor blurs and adds up to the same sums.
+    levels = picture.astype(np.uint16) * (256 if picture.dtype == np.uint8 else 1)
+    grey = cv2.GaussianBlur(levels, (0, 0), _SMOOTH_PX)
+    gx, gy = (cv2.Sobel(grey, cv2.CV_32F, dx, 1 - dx).astype(np.float64) for dx in (1, 0))
+    strength = gx * gx + gy * gy
     strength = np.minimum(strength, quantile(strength, _STRONGEST))
     strength[~_counted(strength.shape, boxes_xyxy)] = 0
     if margin is not None:
@@ -142,8 +144,8 @@ def find_ground_edges(
     rows, columns = np.nonzero((strength > 0) & (strength >= quantile(strength, 1 - _USED)))
     if not len(rows):
         return None
-    weight = strength[rows, columns].astype(np.float64) ** 2
-    along = np.stack([-gy[rows, columns], gx[rows, columns]], axis=1).astype(np.float64)
+    weight = strength[rows, columns]
+    along = np.stack([-gy[rows, columns], gx[rows, columns]], axis=1)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     centre = np.stack([columns, rows], axis=1) + 0.5
     start, end = (_on_ground(camera, centre + side * along, ground_z_m) for side in (-1, 1))

@@ -86,3 +86,10 @@ def test_16_bit_pictures_give_the_same_direction():
     deep = (picture.astype(np.uint16) * 40) + 9000
     one, other = (lines_of(p, view, ground_z_m(view, 80)) for p in (picture, deep))
     assert one.yaw_rad == pytest.approx(other.yaw_rad, abs=1e-3)
+
+
+def test_gradients_are_whole_numbers_that_no_processor_rounds():
+    view = camera(60)
+    edges = find_ground_edges(street(view, 20), view, ground_z_m(view, 80))
+    below = edges.weight[edges.weight < edges.weight.max()]
+    assert len(below) > 1000 and (below == np.rint(below)).all()
