@@ -257,6 +257,7 @@ FORMATS: tuple[Format, ...] = (
         Writer(
             "rf-detr", "COCO JSON beside the pictures, a folder per split, for RF-DETR and Roboflow",
             fixed={"without_mask": "omit", "from_one": True, "beside": True}, takes=_set("ids pictures"), of="coco",
+            layout="flat",
         ),
     )),
     Format("yolo", "Ultralytics YOLO with a `data.yaml`: detect, OBB or segment", any_camera=True, writers=(
