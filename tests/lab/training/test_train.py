@@ -30,7 +30,7 @@ from infrablend.detection.scale import DAMAGED, WEIGHTS
 from infrablend.detection.ultralytics_environment import quiet_ultralytics, require_ultralytics
 from infrablend.errors import DatasetError, FetchError, Interrupted, MissingDependencyError, OutputError, RenderError
 from infrablend.lab.realism import nets
-from infrablend.lab.training import start_weights, training_job
+from infrablend.lab.training import start_weights, training_job, ultralytics_backend
 from infrablend.lab.training import train as pipeline_train
 from infrablend.lab.training import training_process as process
 from infrablend.lab.training.presets import PRESETS
@@ -216,7 +216,7 @@ def test_gate_checks_val_if_training_depends_on_it(ultralytics, tmp_path):
 
 
 def test_all_dataset_problems_are_reported_before_any_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(pipeline_train, "require_ultralytics", lambda: None)
+    monkeypatch.setattr(ultralytics_backend, "require_ultralytics", lambda: None)
     data = yolo(tmp_path / "data", {"val": 2, "test": 1}, names=("car", "drone", "deer"))
     with pytest.raises(DatasetError) as caught:
         train(data, tmp_path / "out", device="cpu", classes=["car", "boat"])
@@ -312,7 +312,7 @@ def test_numbers_on_the_command_line_are_numbers():
 
 
 def test_unreadable_labels_are_reported(tmp_path, monkeypatch):
-    monkeypatch.setattr(pipeline_train, "require_ultralytics", lambda: None)
+    monkeypatch.setattr(ultralytics_backend, "require_ultralytics", lambda: None)
     bad = "0 0.5 0.5 0.1 0.1\n1 0.5 0.5 0.1 0.2\n0 nan 0.5 0.1 0.1\n"
     data = yolo(tmp_path / "data", {"train": 25}, rows=bad)
     for call in (lambda: train(data, tmp_path / "out", device="cpu"), lambda: plan_train(data, device="cpu")):
@@ -381,7 +381,7 @@ def events(monkeypatch, *said, code=0, stopped=False, weights_there=True):
             write_bytes(out / WEIGHTS, b"x")
         return code, stopped
 
-    monkeypatch.setattr(pipeline_train, "require_ultralytics", lambda: None)
+    monkeypatch.setattr(ultralytics_backend, "require_ultralytics", lambda: None)
     monkeypatch.setattr(process, "watch", watch)
 
 
