@@ -79,6 +79,7 @@ sys.exit(not all(equal))
 
 step "Unit tests"
 rm -rf "$system/project" && mkdir "$system/project"
-git archive HEAD pyproject.toml src tests docs README.md | tar -x -C "$system/project"
+# Of the working tree, as the wheel.
+tar -c --exclude=__pycache__ pyproject.toml src tests docs README.md | tar -x -C "$system/project"
 on_arm sh -ec 'cd /project && /env/bin/python -m pytest -q -n 2 -p no:cacheprovider tests/unit/compositing tests/unit/annotation tests/unit/formats'
 exit $differs

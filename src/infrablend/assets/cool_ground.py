@@ -13,10 +13,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from infrablend.assets.ground_sheet import hull_of, reach_of
 from infrablend.assets.model import PartRange, Range, warm_ground_role
 from infrablend.assets.shapes import ring_strips
 from infrablend.core.mesh import FloatArray, IntArray
@@ -68,7 +68,4 @@ def shade_sheet(vertices: FloatArray, shift_xy: ArrayLike) -> tuple[FloatArray, 
 
 def _radius(points: FloatArray, vertices: FloatArray, around: FloatArray) -> FloatArray:
     """Return how far the hull of points and of the object from above reaches in each direction from the origin."""
-    hull = cv2.convexHull(np.concatenate([points, vertices[:, :2]]).astype(np.float32))[:, 0].astype(np.float64)
-    t = np.linspace(0.0, 1.0, 16, endpoint=False)[None, :, None]
-    edge = ((1 - t) * hull[:, None] + t * np.roll(hull, -1, axis=0)[:, None]).reshape(-1, 2)
-    return np.asarray(np.interp(around, np.arctan2(edge[:, 1], edge[:, 0]), np.hypot(*edge.T), period=2 * np.pi))
+    return reach_of(hull_of(np.concatenate([points, vertices[:, :2]])), np.zeros(2), around)

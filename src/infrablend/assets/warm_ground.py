@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 
+from infrablend.assets.ground_sheet import hull_of, reach_of
 from infrablend.assets.model import Params, PartRange, warm_ground_role
 from infrablend.assets.params import Checks
 from infrablend.assets.shapes import ring_strips
@@ -69,13 +69,10 @@ def with_warm_ground(mesh: Mesh, params: Params) -> Mesh:
     if not params.get(PARAM):
         return mesh
     low = mesh.vertices_m[mesh.vertices_m[:, 2] <= _LOW * mesh.vertices_m[:, 2].max(), :2]
-    hull = cv2.convexHull(low.astype(np.float32))[:, 0].astype(np.float64)
+    hull = hull_of(low)
     centre = hull.mean(axis=0)
     around = np.linspace(0.0, 2 * np.pi, _CORNERS, endpoint=False)
-    # Many points along each edge of the hull, whose distance from the centre is then known in every direction.
-    t = np.linspace(0.0, 1.0, 16, endpoint=False)[None, :, None]
-    edge = ((1 - t) * hull[:, None] + t * np.roll(hull, -1, axis=0)[:, None]).reshape(-1, 2) - centre
-    radius = np.interp(around, np.arctan2(edge[:, 1], edge[:, 0]), np.hypot(*edge.T), period=2 * np.pi)
+    radius = reach_of(hull, centre, around)
     ways = np.stack([np.cos(around), np.sin(around)], axis=1)
     loops = [centre + (radius + out_m)[:, None] * ways for out_m, _ in _RINGS.values()]
     flat = np.concatenate([centre[None], *loops]) + np.asarray(params[PARAM], np.float64)

@@ -28,7 +28,7 @@ from infrablend.lab.experiments.prepare import PreparedExperiment
 from infrablend.lab.experiments.result_record import PlanFacts, PlannedStage
 from infrablend.lab.experiments.stage import RECORD, Stage, stage_folder
 from infrablend.lab.training.presets import cpu_threads, estimate_seconds
-from infrablend.lab.training.start_weights import AUTO, SCRATCH, network_of, require_known
+from infrablend.lab.training.start_weights import AUTO, SCRATCH, network_of
 from infrablend.lab.training.training_backends import BACKENDS
 from infrablend.lab.training.training_record import TrainingRecord
 from infrablend.pipeline.flights.detectability_request import DEFAULT_DETECTABILITY
@@ -175,8 +175,10 @@ def require_training_settings(stages: Iterable[Stage], request: ExperimentReques
     """
     for stage in stages:
         if stage.kind == "train":
-            BACKENDS["ultralytics"].require_settings(preset_of(request, stage.spec), stage.spec.task)
-            require_known(stage.spec.weights, stage.spec.task)
+            backend = BACKENDS["ultralytics"]
+            preset = preset_of(request, stage.spec)
+            backend.require_settings(preset, stage.spec.task)
+            backend.require_start(stage.spec.weights, preset, stage.spec.task)
 
 
 def _add_training(row: PlannedStage, stage: Stage, request: ExperimentRequest) -> None:

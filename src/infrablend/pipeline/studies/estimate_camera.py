@@ -450,7 +450,7 @@ def _pitch_values(
     stated = [i.capture.pitch_deg for i in images if i.capture.pitch_deg is not None]
     if used is labels:
         yield CameraValue("pitch_deg", "labels", middle, half, "used")
-    if used is not labels:
+    else:
         yield CameraValue("pitch_deg", "stated", float(np.median(stated)), _WIDE * _STATED_SD_DEG, "used")
         yield CameraValue("pitch_deg", "labels", middle + offset, half)
 
