@@ -413,7 +413,8 @@ def test_axe_finds_no_serious_issue_in_the_report_of_a_run(
 
 
 def serious_issues(page: Any) -> list[tuple[str, str]]:
-    """Return what axe finds in a page: rule, and the first element."""
+    """Return what axe finds in a page once its menus have faded out: rule, and the first element."""
+    page.wait_for_function("document.querySelector('.q-menu') === null")
     page.evaluate(resources.files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8"))
     found = page.evaluate("async () => (await axe.run()).violations")
     return [(i["id"], i["nodes"][0]["html"][:200]) for i in found if i["impact"] in ("serious", "critical")]
