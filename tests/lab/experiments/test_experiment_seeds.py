@@ -47,6 +47,21 @@ def test_each_seed_has_its_training_evaluation_and_draw() -> None:
     assert spelled.evaluations["other-1"].training == "fixed-1" and len(spelled.evaluations) == 7
 
 
+def test_what_is_made_from_a_redrawn_item_is_redrawn_with_it() -> None:
+    made = ", inserted: {kind: generate, of: few, recipe: hit-uav-people}"
+    made += ", both: {kind: merge, parts: [{of: inserted}, {of: all}, {of: few}]}}"
+    text = TEXT.replace("parts: [{of: real}]}}", "parts: [{of: real}]}" + made)
+    text = text.replace("trainings:", "trainings:\n  chained: {data: both, seeds: {small: 3, smoke: 2}}")
+    experiment = parse_experiment(text, "mine.yaml")
+    spelled = repeat_seeds(experiment, "small")
+    assert spelled.inputs_of("inserted-1") == {"of": "few-1"}
+    assert spelled.inputs_of("both-2") == {"part0": "inserted-2", "part1": "all", "part2": "few-2"}
+    assert spelled.trainings["chained-2"].data == "both-2" and "all-1" not in spelled.data
+    assert set(experiment.data) == set(repeat_seeds(experiment, "paper").data), "one seed, one draw"
+    fewer = repeat_seeds(experiment, "smoke")
+    assert "both-1" in fewer.data and "both-2" not in fewer.data and not fewer.at("chained-2", "smoke")
+
+
 def test_both_sides_of_a_comparison_or_ratio_have_as_many_seeds() -> None:
     spelled = at("small")
     found = {n: (c.a, c.b) for n, c in spelled.comparisons.items()}

@@ -7,8 +7,8 @@ import pytest
 from infrablend.config.loading import list_recipes
 from infrablend.lab.experiments.definition import Generate, list_experiments, load_experiment
 
-NOT_ABOUT_LOOKS = {"labels.mode"}
-"""Settings of a whole pipeline that change no picture and no box."""
+NOT_ABOUT_LOOKS = {"labels.mode", "configurations"}
+"""Settings of a whole pipeline that change no object's look and no box."""
 WHOLE = {
     "datasets": ("aligned", "aligned-test", "deer", "deer-test"),
     "detectability": ("people-frames", "cars-frames", "inserted-drones"),
@@ -18,6 +18,7 @@ WHOLE = {
     "leak-free": ("aligned", "aligned-by-date"),
     "leave-a-camera-out": ("inserted", "any-camera", "own"),
     "mix": ("inserted",),
+    "mix-ground": ("people-10", "people-40", "people-160", "cars-10", "cars-40", "cars-160", "people-empty", "inserted"),
     "monet-deer": ("deer", "deer-test"),
     "pitch-alignment": ("aligned", "aligned-test", "fixed", "random"),
     "track-drone": ("tracks-4", "tracks-7", "tracks-18", "tracks-40"),

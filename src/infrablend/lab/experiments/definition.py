@@ -7,7 +7,7 @@ fields in the file) and a maker in `pipeline/experiments` (how it is made).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -160,7 +160,7 @@ class Merge(Strict):
     parts: tuple[Part, ...] = Field(min_length=1)
     """Parts to put together."""
     redraw: bool = False
-    """Whether each seed of a training that uses it draws other images."""
+    """Whether each seed of a training that uses it, or what is made from it, draws other images."""
     reseed: int = Field(0, ge=0)
     """Number added to the run's seed, to draw other images."""
 
@@ -508,9 +508,9 @@ class Experiment(Strict):
                 yield from ((f"checks.{k}.recall", "detectability", d) for d in check.recall.of)
         yield from (("only_at", "stage", n) for n in self.only_at)
 
-    def seeds_of_trainings(self) -> dict[str, tuple[str, ...]]:
-        """Return the names of all seeds of each training, at any scale."""
-        return {n: seed_names(n, max(t.seeds_at(s) for s in SCALES)) for n, t in self.trainings.items()}
+    def seeds_of_trainings(self, scales: Sequence[Scale] = SCALES) -> dict[str, tuple[str, ...]]:
+        """Return the names of all seeds of each training, at any of these scales."""
+        return {n: seed_names(n, max(t.seeds_at(s) for s in scales)) for n, t in self.trainings.items()}
 
     def seeds_of_evaluations(self) -> dict[str, tuple[str, ...]]:
         """Return the names of each evaluation of all seeds of its training."""
@@ -526,15 +526,24 @@ class Experiment(Strict):
         seeds = self.seeds_of_trainings()
         return {n: seed_names(n, len(seeds.get(e.training, (n,)))) for n, e in entries.items()}
 
-    def seeds_of_data(self) -> dict[str, tuple[str, ...]]:
-        """Return the names of all draws of each data item: one per seed of the trainings that use it, if redrawn."""
-        seeds = self.seeds_of_trainings()
-        found = {}
-        for n, d in self.data.items():
-            redrawn = isinstance(d, Merge) and d.redraw
-            counts = [len(seeds[k]) for k, t in self.trainings.items() if t.data == n and redrawn]
-            found[n] = seed_names(n, max(counts, default=1))
-        return found
+    def seeds_of_data(self, scales: Sequence[Scale] = SCALES) -> dict[str, tuple[str, ...]]:
+        """Return the names of all draws of each data item, at any of these scales.
+
+        What is redrawn, and what is made from it, is drawn once per seed of the trainings that use it in the end.
+        """
+        seeds = self.seeds_of_trainings(scales)
+        redrawn = {n for n, d in self.data.items() if isinstance(d, Merge) and d.redraw}
+        draws = dict.fromkeys((*self.sources, *self.data), 1)
+        for n, training in self.trainings.items():
+            if training.data in draws:
+                draws[training.data] = max(draws[training.data], len(seeds[n]))
+        for _ in self.data:  # each round reaches one item further along a chain
+            for n in self.data:
+                made_from = [i for i in self.inputs_of(n).values() if i in draws]
+                draws |= {i: max(draws[i], draws[n]) for i in made_from}
+                if redrawn & set(made_from):
+                    redrawn.add(n)
+        return {n: seed_names(n, draws[n] if n in redrawn else 1) for n in self.data}
 
     def inputs_of(self, name: str) -> dict[str, str]:
         """Return the names of the sources and items that a data item is made from, by role."""

@@ -27,9 +27,12 @@ from infrablend.formats import dataset_folder
 from infrablend.lab.experiments.definition import (
     Check,
     Comparison,
+    Convert,
+    Data,
     Experiment,
     Generate,
     Merge,
+    Paste,
     Row,
     Source,
     Table,
@@ -238,13 +241,11 @@ def repeat_seeds(experiment: Experiment, scale: Scale) -> Experiment:
     of_training = experiment.seeds_of_trainings()
     of_evaluation = experiment.seeds_of_evaluations()
     of_detectability = experiment.seeds_of_detectabilities()
-    of_data = experiment.seeds_of_data()
+    of_data = experiment.seeds_of_data((scale,))
     here = {n: experiment.trainings[e.training].seeds_at(scale) for n, e in experiment.evaluations.items()
             if e.training in experiment.trainings}  # fmt: skip
     data = {
-        one: item.model_copy(update={"reseed": item.reseed + k}) if isinstance(item, Merge) else item
-        for name, item in experiment.data.items()
-        for k, one in enumerate(of_data[name])
+        one: _draw(item, k, of_data) for name, item in experiment.data.items() for k, one in enumerate(of_data[name])
     }
     trainings = {
         one: training.model_copy(update={"reseed": training.reseed + k, "data": _of_seed(training.data, k, of_data)})
@@ -279,6 +280,21 @@ def repeat_seeds(experiment: Experiment, scale: Scale) -> Experiment:
     return experiment.model_copy(update=update)
 
 
+def _draw(item: Data, number: int, of_data: Mapping[str, Sequence[str]]) -> Data:
+    """Return one draw of a data item, made from the same draw of its inputs."""
+    match item:
+        case Merge():
+            parts = tuple(p.model_copy(update={"of": _of_seed(p.of, number, of_data)}) for p in item.parts)
+            return item.model_copy(update={"parts": parts, "reseed": item.reseed + number})
+        case Convert(match=str(match)):
+            also = {"match": _of_seed(match, number, of_data)}
+        case Paste():
+            also = {"like": _of_seed(item.like, number, of_data)}
+        case _:
+            also = {}
+    return item.model_copy(update={"of": _of_seed(item.of, number, of_data), **also})
+
+
 def _scales_of_seeds(experiment: Experiment, of_training: Mapping[str, Sequence[str]]) -> dict[str, tuple[Scale, ...]]:
     """Return the scales of entries, with those of the trainings of further seeds.
 
@@ -293,9 +309,9 @@ def _scales_of_seeds(experiment: Experiment, of_training: Mapping[str, Sequence[
 
 
 def _of_seed(name: str, number: int, seeds: Mapping[str, Sequence[str]]) -> str:
-    """Return the name of one seed of a training or data item; its own name if it has one seed."""
+    """Return the name of one seed of a training or data item; its own name if it has no such seed."""
     names = seeds.get(name, (name,))
-    return names[number] if len(names) > 1 else name
+    return names[number] if number < len(names) else name
 
 
 def _comparison(comparison: Comparison, seeds: Mapping[str, int]) -> Comparison:
