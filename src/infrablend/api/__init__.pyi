@@ -73,11 +73,8 @@ from infrablend.pipeline.plans.add_model import ModelAnswers as ModelAnswers, Mo
 from infrablend.pipeline.runs.choose import ChoiceReport as ChoiceReport
 from infrablend.lab.realism.compare_objects import RealismReport as RealismReport
 from infrablend.pipeline.datasets.convert import ConvertReport as ConvertReport
-from infrablend.pipeline.studies.estimate_camera import (
-    CameraEstimate as CameraEstimate,
-    CameraReport as CameraReport,
-    CameraSettings as CameraSettings,
-)
+from infrablend.pipeline.studies.camera_sources import CameraEstimate as CameraEstimate
+from infrablend.pipeline.studies.estimate_camera import CameraReport as CameraReport, CameraSettings as CameraSettings
 from infrablend.pipeline.extraction.count_scale import CountScale as CountScale, Spot as Spot
 from infrablend.detection.detectability_record import AlarmFacts as AlarmFacts
 from infrablend.pipeline.flights.detectability import (
