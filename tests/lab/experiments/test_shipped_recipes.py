@@ -17,6 +17,7 @@ WHOLE = {
     "hit-uav-drone": ("aligned", "aligned-test"),
     "leak-free": ("aligned", "aligned-by-date"),
     "leave-a-camera-out": ("inserted", "any-camera", "own"),
+    "leave-a-camera-out-ground": ("people-frames", "cars-frames"),
     "mix": ("inserted",),
     "mix-ground": ("people-10", "people-40", "people-160", "cars-10", "cars-40", "cars-160", "people-empty", "inserted"),
     "monet-deer": ("deer", "deer-test"),
