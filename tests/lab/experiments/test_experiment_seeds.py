@@ -49,15 +49,24 @@ def test_each_seed_has_its_training_evaluation_and_draw() -> None:
 
 def test_what_is_made_from_a_redrawn_item_is_redrawn_with_it() -> None:
     made = ", inserted: {kind: generate, of: few, recipe: hit-uav-people}"
-    made += ", both: {kind: merge, parts: [{of: inserted}, {of: all}, {of: few}]}}"
+    made += ", both: {kind: merge, parts: [{of: inserted}, {of: all}, {of: few}]}"
+    made += ", halves: {kind: split, of: few, by: gap}, later: {kind: generate, of: few, recipe: hit-uav-cars}}"
     text = TEXT.replace("parts: [{of: real}]}}", "parts: [{of: real}]}" + made)
-    text = text.replace("trainings:", "trainings:\n  chained: {data: both, seeds: {small: 3, smoke: 2}}")
+    text = text.replace(
+        "trainings:",
+        "trainings:\n  chained: {data: both, seeds: {small: 3, smoke: 2}}\n  split: {data: halves, seeds: {small: 3}}\n  later: {data: later, seeds: 3}",
+    )
+    text = text.replace("only_at: {", "only_at: {later: [paper], ")
     experiment = parse_experiment(text, "mine.yaml")
     spelled = repeat_seeds(experiment, "small")
     assert spelled.inputs_of("inserted-1") == {"of": "few-1"}
     assert spelled.inputs_of("both-2") == {"part0": "inserted-2", "part1": "all", "part2": "few-2"}
     assert spelled.trainings["chained-2"].data == "both-2" and "all-1" not in spelled.data
-    assert set(experiment.data) == set(repeat_seeds(experiment, "paper").data), "one seed, one draw"
+    assert spelled.trainings["split-2"].data == "halves" and "halves-1" not in spelled.data
+    assert "later-1" not in spelled.data, "no training at this scale needs it"
+    paper = repeat_seeds(experiment, "paper")
+    assert set(paper.data) == {*experiment.data, "few-1", "few-2", "later-1", "later-2"}
+    assert not paper.at("later-1", "small") and paper.at("later-1", "paper")
     fewer = repeat_seeds(experiment, "smoke")
     assert "both-1" in fewer.data and "both-2" not in fewer.data and not fewer.at("chained-2", "smoke")
 

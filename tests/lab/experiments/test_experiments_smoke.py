@@ -43,6 +43,13 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def world_as_coco(world: Path) -> Path:
+    """The same town as another camera's dataset."""
+    api.convert(world, world.parent / "coco", to="coco")
+    return world.parent / "coco"
+
+
+@pytest.fixture(scope="module")
 def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four clips of a narrow view."""
     root = tmp_path_factory.mktemp("data") / "clips"
@@ -61,13 +68,20 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", list_experiments())
 @pytest.mark.filterwarnings("ignore")  # of torch and Ultralytics
 def test_every_experiment_runs_at_the_smoke_scale(
-    name: str, ultralytics: None, world: Path, clips: Path, work: Path, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    ultralytics: None,
+    world: Path,
+    world_as_coco: Path,
+    clips: Path,
+    work: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     sources = load_experiment(name).sources
     of_clips = [f"{n}={clips}" for n, s in sources.items() if s.format == "anti-uav"]
+    of_coco = [f"{n}={world_as_coco}" for n, s in sources.items() if s.format == "coco" and s.stand_in is None]
     stand_ins = all(s.stand_in is not None for s in sources.values())
     of_world = not stand_ins and (not of_clips or any(s.format == "hit-uav" for s in sources.values()))
-    data: list[Path | str] = [*of_clips, *([world] if of_world else [])]
+    data: list[Path | str] = [*of_clips, *of_coco, *([world] if of_world else [])]
     request = ExperimentRequest(name, data, work, work / "results", scale="smoke", device="cpu", workers=2)
     report = api.experiment(request)
     assert report.status == "complete"

@@ -529,19 +529,20 @@ class Experiment(Strict):
     def seeds_of_data(self, scales: Sequence[Scale] = SCALES) -> dict[str, tuple[str, ...]]:
         """Return the names of all draws of each data item, at any of these scales.
 
-        What is redrawn, and what is made from it, is drawn once per seed of the trainings that use it in the end.
+        What is redrawn, and what is made from it, is drawn once per seed of the trainings that use it in the end. What
+        is split is not: evaluations use the first draw, whose test images would be among the train images of others.
         """
         seeds = self.seeds_of_trainings(scales)
         redrawn = {n for n, d in self.data.items() if isinstance(d, Merge) and d.redraw}
         draws = dict.fromkeys((*self.sources, *self.data), 1)
         for n, training in self.trainings.items():
-            if training.data in draws:
+            if training.data in draws and any(self.at(n, s) for s in scales):
                 draws[training.data] = max(draws[training.data], len(seeds[n]))
         for _ in self.data:  # each round reaches one item further along a chain
-            for n in self.data:
+            for n, item in self.data.items():
                 made_from = [i for i in self.inputs_of(n).values() if i in draws]
                 draws |= {i: max(draws[i], draws[n]) for i in made_from}
-                if redrawn & set(made_from):
+                if redrawn & set(made_from) and not isinstance(item, Resplit):
                     redrawn.add(n)
         return {n: seed_names(n, draws[n] if n in redrawn else 1) for n in self.data}
 

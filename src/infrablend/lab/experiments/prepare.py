@@ -275,7 +275,7 @@ def repeat_seeds(experiment: Experiment, scale: Scale) -> Experiment:
         "comparisons": {n: _comparison(c, here) for n, c in experiment.comparisons.items()},
         "tables": tuple(_table(t, of_evaluation) for t in experiment.tables),
         "checks": tuple(_check(c, here, of_detectability) for c in experiment.checks),
-        "only_at": _scales_of_seeds(experiment, of_training),
+        "only_at": _scales_of_seeds(experiment, of_training, of_data),
     }
     return experiment.model_copy(update=update)
 
@@ -295,12 +295,17 @@ def _draw(item: Data, number: int, of_data: Mapping[str, Sequence[str]]) -> Data
     return item.model_copy(update={"of": _of_seed(item.of, number, of_data), **also})
 
 
-def _scales_of_seeds(experiment: Experiment, of_training: Mapping[str, Sequence[str]]) -> dict[str, tuple[Scale, ...]]:
-    """Return the scales of entries, with those of the trainings of further seeds.
+def _scales_of_seeds(
+    experiment: Experiment, of_training: Mapping[str, Sequence[str]], of_data: Mapping[str, Sequence[str]]
+) -> dict[str, tuple[Scale, ...]]:
+    """Return the scales of entries, with those of further draws and of the trainings of further seeds.
 
     What needs a training that the scale lacks is left out with it.
     """
     only_at = dict(experiment.only_at)
+    for name, draws in of_data.items():
+        if name in only_at:
+            only_at |= dict.fromkeys(draws, only_at[name])
     for name, training in experiment.trainings.items():
         for k, one in enumerate(of_training[name][1:], 1):
             scales = experiment.only_at.get(name, SCALES)
