@@ -52,10 +52,9 @@ def test_what_is_made_from_a_redrawn_item_is_redrawn_with_it() -> None:
     made += ", both: {kind: merge, parts: [{of: inserted}, {of: all}, {of: few}]}"
     made += ", halves: {kind: split, of: few, by: gap}, later: {kind: generate, of: few, recipe: hit-uav-cars}}"
     text = TEXT.replace("parts: [{of: real}]}}", "parts: [{of: real}]}" + made)
-    text = text.replace(
-        "trainings:",
-        "trainings:\n  chained: {data: both, seeds: {small: 3, smoke: 2}}\n  split: {data: halves, seeds: {small: 3}}\n  later: {data: later, seeds: 3}",
-    )
+    trainings = "\n  chained: {data: both, seeds: {small: 3, smoke: 2}}"
+    trainings += "\n  split: {data: halves, seeds: {small: 3}}\n  later: {data: later, seeds: 3}"
+    text = text.replace("trainings:", "trainings:" + trainings)
     text = text.replace("only_at: {", "only_at: {later: [paper], ")
     experiment = parse_experiment(text, "mine.yaml")
     spelled = repeat_seeds(experiment, "small")
