@@ -11,6 +11,10 @@ to the sizes of the real ones. Measures are taken in the boxes of the labels, le
 - `change`: the larger distance of the 5 and 95 % quantile from the ground;
 - `edge`: 90 % quantile of the gradient, levels per px;
 - `detail`: standard deviation of the box minus its Gaussian of 1.6 px;
+- `band 0.5-1 px` and so on: standard deviation of the difference of two Gaussians of these sigmas in the box, which is
+  the square root of the power between them;
+- `foot`: median, over the middle half of the columns, of the brightest level from 12 px above to 6 px below the lower
+  edge of the box, minus the ground: what shows below the side towards the camera;
 - `rim 0.25 m` and so on: median of the band at that distance from the box minus the ground 3 to 5 m away.
 """
 
@@ -38,6 +42,9 @@ from infrablend.pipeline.flights.insert_trials import TrialRules, Trials
 
 BANDS_M = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
 """Edges of the bands around a box."""
+BAND_SIGMAS_PX = (0.5, 1.0, 2.0, 4.0)
+"""Sigmas between which the power inside a box is measured."""
+_FOOT_PX = (12, 6)
 _LEAST_SIDE_PX = 12
 _MARGIN_PX = 3
 _FOCAL_PX = 2060.0  # HIT-UAV
@@ -53,6 +60,7 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--split", default="val")
     parser.add_argument("--time", default="day")
+    parser.add_argument("--below-deg", type=float, default=91.0, help="Use only pictures at a lower pitch.")
     parser.add_argument("--rounds", type=int, default=2, help="Times that each picture is used.")
     parser.add_argument("--sample", type=int, help="Use only so many pictures.")
     parser.add_argument("--detector", type=Path, action="append", default=[])
@@ -63,6 +71,7 @@ def main() -> None:
     frames = api.frames(args.recipe, args.data, settings=args.set, reading=Reading(splits=(args.split,)))
     category = frames.inserted_classes[0]
     ids = [k for k in frames.ids if frames.backgrounds[k].capture.time_of_day == args.time]
+    ids = [k for k in ids if (frames.backgrounds[k].capture.pitch_deg or 0.0) < args.below_deg]
     ids = list(np.random.default_rng(0).permutation(ids)[: args.sample])
     trials = [_trials(frames, detector, category) for detector in args.detector]
     found: dict[str, list[Measured]] = defaultdict(list)
@@ -144,6 +153,11 @@ def measure(
         "edge": float(np.percentile(gradient[y0:y1, x0:x1], 90)),
         "detail": float((picture - soft)[y0:y1, x0:x1].std()),
     }
+    foot = picture[max(y1 - _FOOT_PX[0], (y0 + y1) // 2) : y1 + _FOOT_PX[1], x0 + dx : x1 - dx]
+    facts["foot"] = float(np.median(foot.max(axis=0))) - ground
+    for fine, coarse in pairwise(BAND_SIGMAS_PX):
+        of_band = cv2.GaussianBlur(picture, (0, 0), fine) - cv2.GaussianBlur(picture, (0, 0), coarse)
+        facts[f"band {fine:g}-{coarse:g} px"] = float(of_band[y0:y1, x0:x1].std())
     level = float(np.median(far))
     for near, outer in pairwise(BANDS_M):
         band = picture[free & (away > near) & (away <= outer)]
