@@ -383,10 +383,15 @@ class Group(Strict):
     apart_m: range_of(0.1, 100) = (0.6, 2.5)  # type: ignore[valid-type]
     """Distance between the centres of the two objects, metres."""
     in_row: bool = False
-    """Place the object at the other's side with the same or the opposite heading, within 4 degrees, as cars are parked;
-    otherwise in any direction with a heading of its own. A row has the heading of its first object, so `align` aligns
-    rows as a whole. Upright boxes around the objects do not intersect, but the objects may hide each other in the
-    picture."""
+    """Place the object at the end of the other's row with the same or the opposite heading, within 4 degrees, as cars
+    are parked; otherwise in any direction with a heading of its own. A row has the heading of its first object, so
+    `align` aligns rows as a whole. Upright boxes around the objects do not intersect, but the objects may hide each
+    other in the picture."""
+    behind: float = Field(0.0, ge=0, le=1)
+    """With `in_row`: share of the rows whose objects stand behind one another, as along a kerb, instead of side by
+    side."""
+    behind_m: range_of(0.1, 100) = (5.5, 9.0)  # type: ignore[valid-type]
+    """Distance between the centres of two objects that stand behind one another, metres."""
     max_overlap: float = Field(0.3, ge=0, le=1)
     """Largest share of the smaller of two boxes that an object placed beside another may share with an insert. Others
     share at most 0.02."""

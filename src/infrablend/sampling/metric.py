@@ -79,6 +79,8 @@ _LONGER = 1.25
 _MOST_EDGES = 3000
 # Largest difference in heading between neighbouring parked cars, degrees.
 _ROW_TURN_DEG = 4.0
+# How far from the line of a row the centre of one of its objects may be, metres.
+_ROW_WIDTH_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,17 +394,26 @@ class _Search:
         group = kind.group
         assert group is not None
         mate = mates[int(rng.integers(len(mates)))]
-        x, y, z, mate_yaw = mate
         away = float(rng.uniform(*group.apart_m))
         turn = float(rng.random())
         heading = float(rng.random())
         if group.in_row:
-            yaw = mate_yaw + math.radians(_ROW_TURN_DEG) * (2 * heading - 1) + (math.pi if rng.random() < 0.5 else 0.0)
-            towards = mate_yaw + (math.pi / 2 if turn < 0.5 else -math.pi / 2)
+            back = math.pi if rng.random() < 0.5 else 0.0
+            behind = rng.random() < group.behind
+            neighbour_behind = _stands_behind(mate, mates, max(group.apart_m[1], group.behind_m[1]))
+            if behind if neighbour_behind is None else neighbour_behind:
+                away = float(rng.uniform(*group.behind_m))
+                towards, reach_m = mate[3], group.behind_m[1]
+            else:
+                towards, reach_m = mate[3] + math.pi / 2, group.apart_m[1]
+            towards += 0.0 if turn < 0.5 else math.pi
+            mate = _end_of_row(mate, mates, towards, reach_m)
+            yaw = mate[3] + math.radians(_ROW_TURN_DEG) * (2 * heading - 1) + back
         else:
             low, high = (math.radians(d) for d in kind.yaw_deg)
-            yaw = self._aligned(low + (high - low) * heading, item, (x, y))
+            yaw = self._aligned(low + (high - low) * heading, item, mate[:2])
             towards = 2 * math.pi * turn
+        x, y, z, _ = mate
         pose = x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
         suitable = self._suitable_ground(item)
         return pose if suitable is None or suitable.carries(self._camera, item, pose, mate) else "unfit_ground"
@@ -442,6 +453,31 @@ def _real_ground(recipe: MetricRecipe, site: Site) -> RealGround | None:
     if by_time is None or site.time_of_day is None:
         return None
     return by_time.day if site.time_of_day == "day" else by_time.night
+
+
+def _stands_behind(mate: Pose, mates: Sequence[Pose], reach_m: float) -> bool | None:
+    """Return whether an object's nearest neighbour is behind or before it rather than beside; None without one."""
+    others = [m for m in mates if m is not mate and math.dist(m[:2], mate[:2]) <= reach_m]
+    if not others:
+        return None
+    x, y, _, _ = min(others, key=lambda m: math.dist(m[:2], mate[:2]))
+    return abs(math.cos(math.atan2(y - mate[1], x - mate[0]) - mate[3])) > math.sqrt(0.5)
+
+
+def _end_of_row(mate: Pose, mates: Sequence[Pose], towards_rad: float, reach_m: float) -> Pose:
+    """Return the last object of a row in a direction, seen from one of its objects."""
+    cos, sin = math.cos(towards_rad), math.sin(towards_rad)
+    # Metres along the row from the given object, of all that are on its line.
+    row = sorted(
+        ((m[0] - mate[0]) * cos + (m[1] - mate[1]) * sin, m)
+        for m in mates
+        if abs((m[1] - mate[1]) * cos - (m[0] - mate[0]) * sin) < _ROW_WIDTH_M
+    )
+    end_m, end = 0.0, mate
+    for along_m, m in row:
+        if end_m < along_m <= end_m + reach_m:
+            end_m, end = along_m, m
+    return end
 
 
 def _kind(item: PlacementRequest) -> MetricObject:
