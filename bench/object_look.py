@@ -13,8 +13,8 @@ to the sizes of the real ones. Measures are taken in the boxes of the labels, le
 - `detail`: standard deviation of the box minus its Gaussian of 1.6 px;
 - `band 0.5-1 px` and so on: standard deviation of the difference of two Gaussians of these sigmas in the box, which is
   the square root of the power between them;
-- `foot`: median, over the middle half of the columns, of the brightest level from 12 px above to 6 px below the lower
-  edge of the box, minus the ground: what shows below the side towards the camera;
+- `foot`: median, over the middle half of the columns, of the brightest level from 12 px above (or the middle of the
+  box) to 6 px below the lower edge, minus the ground: what shows below the side towards the camera;
 - `rim 0.25 m` and so on: median of the band at that distance from the box minus the ground 3 to 5 m away.
 """
 

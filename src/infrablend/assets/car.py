@@ -73,11 +73,12 @@ _SURFACES: Mapping[str, tuple[str, str]] = {
 }
 
 # A parked car shields the ground from the cold sky, so the ground under it is warmer, and a rim around it slightly.
-# Rings of a translucent sheet: their outer distance in m, and opacity. HIT-UAV by night (train): seen at less than 60
-# degrees, the brightest level across the near side of 146 cars exceeds the ground's by 25 levels (quartiles 1 and 56),
-# which is the ground under the car's sill. Beside 65 dark cars on even ground the level exceeds that 2 to 3 m away by
-# 5 levels at 0.3 m (90 % quantile 12), 4 at 0.5 m, 1 at 0.8 m, 0 from 1 m on, of which the camera's sharpening makes
-# about 1. At 5.4 levels per kelvin the middle of the range below gives 27 under the car, 3 and 2 beside it.
+# Rings of a translucent sheet: their outer distance in m, and opacity; neighbouring rings blend. HIT-UAV by night
+# (train, seen at less than 60 degrees): the brightest level across the side of 220 cars towards the camera exceeds the
+# ground's by 20 levels (quartiles 3 and 45), as the ground under the sill does. Beside 65 dark cars on even ground the
+# level exceeds that 2 to 3 m away by 5 levels at 0.3 m (90 % quantile 12), 4 at 0.5 m, 1 at 0.8 m, 0 from 1 m on, of
+# which the camera's sharpening makes about 1. At 5.4 levels per kelvin the middle of the range below gives 26 levels
+# 0.3 m under the car, 15 at its side, 3 and 2 beside it.
 GROUND_RINGS: Mapping[str, tuple[float, float]] = {
     "ground_under": (-0.08, 0.95), "ground_near": (0.15, 0.17), "ground_mid": (0.35, 0.11), "ground_far": (0.6, 0.05),
     "ground_edge": (0.85, 0.012),
@@ -845,7 +846,7 @@ MODEL = ObjectModel(
     options={
         **DIALS.options,
         "sheltered": (
-            "true or false: warm rim of ground that the car shields from the sky; by default for cars parked at night"
+            "true or false: warm ground under and around the car, which shields it; by default for cars parked at night"
         ),
         "time_of_day": "day, dusk, night or dawn: the states that can be drawn; by default as in the background",
     },

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.config.recipe import MetricObject, MetricRecipe, RealGround
+from infrablend.config.recipe import Group, MetricObject, MetricRecipe, RealGround
 from infrablend.core.boxes import box_of_points, clip_boxes
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import ImageRecord, Instance, boxes_of
@@ -79,8 +79,9 @@ _LONGER = 1.25
 _MOST_EDGES = 3000
 # Largest difference in heading between neighbouring parked cars, degrees.
 _ROW_TURN_DEG = 4.0
-# How far from the line of a row the centre of one of its objects may be, metres.
-_ROW_WIDTH_M = 1.0
+# Which objects are of one row: how far from its line they may be, metres, and how far turned against another, degrees.
+_ROW_WIDTH_M = 1.5
+_ROW_PARALLEL_DEG = 15.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,9 +400,9 @@ class _Search:
         heading = float(rng.random())
         if group.in_row:
             back = math.pi if rng.random() < 0.5 else 0.0
-            behind = rng.random() < group.behind
-            neighbour_behind = _stands_behind(mate, mates, max(group.apart_m[1], group.behind_m[1]))
-            if behind if neighbour_behind is None else neighbour_behind:
+            begins_behind = rng.random() < group.behind
+            goes_on_behind = _goes_on_behind(mate, mates, group)
+            if begins_behind if goes_on_behind is None else goes_on_behind:
                 away = float(rng.uniform(*group.behind_m))
                 towards, reach_m = mate[3], group.behind_m[1]
             else:
@@ -455,29 +456,35 @@ def _real_ground(recipe: MetricRecipe, site: Site) -> RealGround | None:
     return by_time.day if site.time_of_day == "day" else by_time.night
 
 
-def _stands_behind(mate: Pose, mates: Sequence[Pose], reach_m: float) -> bool | None:
-    """Return whether an object's nearest neighbour is behind or before it rather than beside; None without one."""
-    others = [m for m in mates if m is not mate and math.dist(m[:2], mate[:2]) <= reach_m]
-    if not others:
+def _goes_on_behind(mate: Pose, mates: Sequence[Pose], group: Group) -> bool | None:
+    """Return whether an object's row goes on behind and before it rather than beside it; None for one without a row."""
+    nearest_m = {}
+    for behind, turn_rad, reach_m in ((True, 0.0, group.behind_m[1]), (False, math.pi / 2, group.apart_m[1])):
+        row = _on_line(mate, mates, mate[3] + turn_rad)
+        nearest_m[behind] = min((abs(m) for m, pose in row if pose is not mate and abs(m) <= reach_m), default=math.inf)
+    if min(nearest_m.values()) == math.inf:
         return None
-    x, y, _, _ = min(others, key=lambda m: math.dist(m[:2], mate[:2]))
-    return abs(math.cos(math.atan2(y - mate[1], x - mate[0]) - mate[3])) > math.sqrt(0.5)
+    return nearest_m[True] < nearest_m[False]
 
 
 def _end_of_row(mate: Pose, mates: Sequence[Pose], towards_rad: float, reach_m: float) -> Pose:
-    """Return the last object of a row in a direction, seen from one of its objects."""
-    cos, sin = math.cos(towards_rad), math.sin(towards_rad)
-    # Metres along the row from the given object, of all that are on its line.
-    row = sorted(
-        ((m[0] - mate[0]) * cos + (m[1] - mate[1]) * sin, m)
-        for m in mates
-        if abs((m[1] - mate[1]) * cos - (m[0] - mate[0]) * sin) < _ROW_WIDTH_M
-    )
+    """Return the last object of a row in a direction, from one of its objects on."""
     end_m, end = 0.0, mate
-    for along_m, m in row:
+    for along_m, pose in _on_line(mate, mates, towards_rad):
         if end_m < along_m <= end_m + reach_m:
-            end_m, end = along_m, m
+            end_m, end = along_m, pose
     return end
+
+
+def _on_line(mate: Pose, mates: Sequence[Pose], towards_rad: float) -> list[tuple[float, Pose]]:
+    """Return the parallel objects on a line through one of them, from back to front, with metres from that one."""
+    cos, sin = math.cos(towards_rad), math.sin(towards_rad)
+    return sorted(
+        ((pose[0] - mate[0]) * cos + (pose[1] - mate[1]) * sin, pose)
+        for pose in mates
+        if abs((pose[1] - mate[1]) * cos - (pose[0] - mate[0]) * sin) < _ROW_WIDTH_M
+        and abs(math.remainder(pose[3] - mate[3], math.pi)) < math.radians(_ROW_PARALLEL_DEG)
+    )
 
 
 def _kind(item: PlacementRequest) -> MetricObject:

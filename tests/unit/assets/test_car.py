@@ -189,7 +189,7 @@ def test_sheltered_ground_is_no_part_of_the_cars_label() -> None:
     beside = [opacity for opacity, (out_m, _) in zip(opacities, car.GROUND_RINGS.values(), strict=True) if out_m > 0]
     assert len(beside) == len(opacities) - 1 and max(beside) < 0.2  # what is under the car shows below its sill only
     assert not any(roles[p].label for p in car.GROUND_RINGS)
-    # It adds to whatever ground there is, at most as much as beside real cars.
+    # It adds to whatever ground there is.
     assert all(
         roles[p].glow and roles[p].emissivity == (1, 1) and roles[p].delta_t_k == (0, 10) for p in car.GROUND_RINGS
     )
