@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.config.recipe import Group, MetricObject, MetricRecipe, RealGround
+from infrablend.config.recipe import MetricObject, MetricRecipe, RealGround
 from infrablend.core.boxes import box_of_points, clip_boxes
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import ImageRecord, Instance, boxes_of
@@ -47,6 +47,7 @@ from infrablend.sampling.placement import (
 )
 from infrablend.sampling.placer import Arrangement, Placer, Streams
 from infrablend.sampling.real_ground import draw_aim, ground_around
+from infrablend.sampling.rows import end_of_row, goes_on_behind
 from infrablend.sampling.site import Hiding, Site
 from infrablend.sampling.suitable_ground import SuitableGround, plants_of, suitable_ground
 
@@ -79,9 +80,6 @@ _LONGER = 1.25
 _MOST_EDGES = 3000
 # Largest difference in heading between neighbouring parked cars, degrees.
 _ROW_TURN_DEG = 4.0
-# Which objects are of one row: how far from its line they may be, metres, and how far turned against another, degrees.
-_ROW_WIDTH_M = 1.5
-_ROW_PARALLEL_DEG = 15.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,14 +399,16 @@ class _Search:
         if group.in_row:
             back = math.pi if rng.random() < 0.5 else 0.0
             begins_behind = rng.random() < group.behind
-            goes_on_behind = _goes_on_behind(mate, mates, group)
-            if begins_behind if goes_on_behind is None else goes_on_behind:
+            behind = goes_on_behind(mate, mates, group)
+            if begins_behind if behind is None else behind:
                 away = float(rng.uniform(*group.behind_m))
-                towards, reach_m = mate[3], group.behind_m[1]
+                reach_m = group.behind_m[1]
+                towards = mate[3]
             else:
-                towards, reach_m = mate[3] + math.pi / 2, group.apart_m[1]
+                reach_m = group.apart_m[1]
+                towards = mate[3] + math.pi / 2
             towards += 0.0 if turn < 0.5 else math.pi
-            mate = _end_of_row(mate, mates, towards, reach_m)
+            mate = end_of_row(mate, mates, towards, reach_m)
             yaw = mate[3] + math.radians(_ROW_TURN_DEG) * (2 * heading - 1) + back
         else:
             low, high = (math.radians(d) for d in kind.yaw_deg)
@@ -454,37 +454,6 @@ def _real_ground(recipe: MetricRecipe, site: Site) -> RealGround | None:
     if by_time is None or site.time_of_day is None:
         return None
     return by_time.day if site.time_of_day == "day" else by_time.night
-
-
-def _goes_on_behind(mate: Pose, mates: Sequence[Pose], group: Group) -> bool | None:
-    """Return whether an object's row goes on behind and before it rather than beside it; None for one without a row."""
-    nearest_m = {}
-    for behind, turn_rad, reach_m in ((True, 0.0, group.behind_m[1]), (False, math.pi / 2, group.apart_m[1])):
-        row = _on_line(mate, mates, mate[3] + turn_rad)
-        nearest_m[behind] = min((abs(m) for m, pose in row if pose is not mate and abs(m) <= reach_m), default=math.inf)
-    if min(nearest_m.values()) == math.inf:
-        return None
-    return nearest_m[True] < nearest_m[False]
-
-
-def _end_of_row(mate: Pose, mates: Sequence[Pose], towards_rad: float, reach_m: float) -> Pose:
-    """Return the last object of a row in a direction, from one of its objects on."""
-    end_m, end = 0.0, mate
-    for along_m, pose in _on_line(mate, mates, towards_rad):
-        if end_m < along_m <= end_m + reach_m:
-            end_m, end = along_m, pose
-    return end
-
-
-def _on_line(mate: Pose, mates: Sequence[Pose], towards_rad: float) -> list[tuple[float, Pose]]:
-    """Return the parallel objects on a line through one of them, from back to front, with metres from that one."""
-    cos, sin = math.cos(towards_rad), math.sin(towards_rad)
-    return sorted(
-        ((pose[0] - mate[0]) * cos + (pose[1] - mate[1]) * sin, pose)
-        for pose in mates
-        if abs((pose[1] - mate[1]) * cos - (pose[0] - mate[0]) * sin) < _ROW_WIDTH_M
-        and abs(math.remainder(pose[3] - mate[3], math.pi)) < math.radians(_ROW_PARALLEL_DEG)
-    )
 
 
 def _kind(item: PlacementRequest) -> MetricObject:

@@ -9,14 +9,14 @@ import pytest
 
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
-from infrablend.config.recipe import FlightHeight, Group, StatedHeights
+from infrablend.config.recipe import FlightHeight, StatedHeights
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance, boxes_of
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.reference_sizes import REFERENCES
 from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, calibrate, prior_of
-from infrablend.sampling.metric import _end_of_row, _goes_on_behind, is_even, relief_of
+from infrablend.sampling.metric import is_even, relief_of
 from infrablend.sampling.placement import PlacementRequest, box_px, collides, volume_of
 from infrablend.sampling.scene_sampler import RecipeSampler, rebuild_scene
 from infrablend.sampling.site import FrameKey, Site
@@ -341,24 +341,6 @@ def test_cars_stand_in_rows(behind: int, apart_m: tuple[float, float]) -> None:
         gaps_m = np.diff(np.sort(away @ along))
         assert (gaps_m >= apart_m[0] * math.cos(math.radians(16)) - 1e-9).all() and (gaps_m <= apart_m[1] + 1e-9).all()
         assert (np.abs(away - np.outer(away @ along, along)) < apart_m[1]).all()
-
-
-def test_a_row_goes_on_as_it_began() -> None:
-    group = Group(share=1, apart_m=(2.5, 4), in_row=True, behind_m=(5.5, 8))
-    mate, ahead, beside, crossing = (
-        (0.0, 0.0, 0.0, 0.0),
-        (6.0, 0.3, 0.0, 3.1),
-        (0.2, 3.0, 0.0, 0.1),
-        (6.0, 0.0, 0.0, 1.2),
-    )
-    assert _goes_on_behind(mate, [mate], group) is None
-    assert _goes_on_behind(mate, [mate, crossing], group) is None
-    assert _goes_on_behind(mate, [mate, ahead], group) is True
-    assert _goes_on_behind(mate, [mate, ahead, beside], group) is False
-    last = (11.0, 0.0, 0.0, 0.05)
-    assert _end_of_row(mate, [last, ahead, mate, beside], 0.0, 8.0) == last
-    assert _end_of_row(mate, [last, mate], 0.0, 8.0) == mate
-    assert _end_of_row(ahead, [last, ahead, mate], math.pi, 8.0) == mate
 
 
 def request(o):
