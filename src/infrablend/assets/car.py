@@ -72,18 +72,14 @@ _SURFACES: Mapping[str, tuple[str, str]] = {
     "tail_lamp": ("plastic", "covers of the rear lamps, like the front ones"),
 }
 
-# A parked car shields the ground from the cold sky, so the ground under it is warmer, and a rim around it slightly.
-# Rings of a translucent sheet: their outer distance in m, and opacity; neighbouring rings blend. HIT-UAV by night
-# (train, seen at less than 60 degrees): the brightest level across the side of 220 cars towards the camera exceeds the
-# ground's by 20 levels (quartiles 3 and 45), as the ground under the sill does. Beside 65 dark cars on even ground the
-# level exceeds that 2 to 3 m away by 5 levels at 0.3 m (90 % quantile 12), 4 at 0.5 m, 1 at 0.8 m, 0 from 1 m on, of
-# which the camera's sharpening makes about 1. At 5.4 levels per kelvin the middle of the range below gives 26 levels
-# 0.3 m under the car, 15 at its side, 3 and 2 beside it.
+# A parked car shields the ground from the cold sky, so a rim of ground around it is warmer. Rings of a translucent
+# sheet: their outer distance in m, and opacity. HIT-UAV by night (train, 65 dark cars on even ground): the level beside
+# the car exceeds that 2 to 3 m away by 5 levels at 0.3 m (90 % quantile 12), 4 at 0.5 m, 1 at 0.8 m, 0 from 1 m on, of
+# which the camera's sharpening makes about 1. At 5.4 levels per kelvin the middle of the range below gives 3 and 2.
 GROUND_RINGS: Mapping[str, tuple[float, float]] = {
-    "ground_under": (-0.08, 0.95), "ground_near": (0.15, 0.17), "ground_mid": (0.35, 0.11), "ground_far": (0.6, 0.05),
-    "ground_edge": (0.85, 0.012),
+    "ground_near": (0.15, 0.42), "ground_mid": (0.35, 0.28), "ground_far": (0.6, 0.12), "ground_edge": (0.85, 0.03),
 }  # fmt: skip
-_GROUND_K = (0.0, 10.0)
+_GROUND_K = (0.0, 4.0)
 # By day it keeps the sun off the ground, for minutes or hours: rays of 300 to 640 W/m² on level ground, of which paving
 # absorbs 0.65 to 0.85, take 2 to 10 K.
 _SHADE_K = (-9.0, -2.0)
@@ -846,7 +842,7 @@ MODEL = ObjectModel(
     options={
         **DIALS.options,
         "sheltered": (
-            "true or false: warm ground under and around the car, which shields it; by default for cars parked at night"
+            "true or false: warm rim of ground that the car shields from the sky; by default for cars parked at night"
         ),
         "time_of_day": "day, dusk, night or dawn: the states that can be drawn; by default as in the background",
     },

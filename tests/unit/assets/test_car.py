@@ -185,13 +185,11 @@ def test_sheltered_ground_is_no_part_of_the_cars_label() -> None:
     assert np.ptp(rings[:, 2]) == 0 and 0 < rings[0, 2] < 0.02
     roles = MODEL.roles({**NOMINAL, "sheltered": True})
     opacities = [roles[p].opacity for p in car.GROUND_RINGS]
-    assert opacities == sorted(opacities, reverse=True)
-    beside = [opacity for opacity, (out_m, _) in zip(opacities, car.GROUND_RINGS.values(), strict=True) if out_m > 0]
-    assert len(beside) == len(opacities) - 1 and max(beside) < 0.2  # what is under the car shows below its sill only
+    assert opacities == sorted(opacities, reverse=True) and max(opacities) < 0.5
     assert not any(roles[p].label for p in car.GROUND_RINGS)
-    # It adds to whatever ground there is.
+    # It adds to whatever ground there is, at most as much as beside real cars.
     assert all(
-        roles[p].glow and roles[p].emissivity == (1, 1) and roles[p].delta_t_k == (0, 10) for p in car.GROUND_RINGS
+        roles[p].glow and roles[p].emissivity == (1, 1) and roles[p].delta_t_k == (0, 4) for p in car.GROUND_RINGS
     )
     assert not any(r.glow for p, r in roles.items() if p not in car.GROUND_RINGS)
     assert MODEL.sample(stream(0, "x"), {"sheltered": True})["sheltered"]
