@@ -291,7 +291,7 @@ DIALS = Dials(
         "body": Choice(tuple(_BODIES), (0.36, 0.22, 0.24, 0.06, 0.12)),
         "state": _STATE,
         "colour": Choice(("black", "grey", "silver", "white"), (0.25, 0.17, 0.2, 0.38)),
-        "sunroof": Choice((False, True), (0.92, 0.08)),
+        "sunroof": Choice((False, True), (0.7, 0.3)),
         "rails": Choice((False, True), (0.35, 0.65), "by default only on an suv or estate"),
         "panelled": Choice((False, True), (0.65, 0.35), "by default only a van"),
         "exhausts": Choice((0, 1, 2), (0.2, 0.55, 0.25)),

@@ -381,17 +381,12 @@ class Group(Strict):
     """Share of the objects of this kind in a frame, not counting the first, that are placed beside an earlier one. An
     object that finds no place there is placed anywhere."""
     apart_m: range_of(0.1, 100) = (0.6, 2.5)  # type: ignore[valid-type]
-    """Distance between the centres of the two objects, metres; in a row, of two that stand side by side."""
+    """Distance between the centres of the two objects, metres."""
     in_row: bool = False
-    """Place the object at the end of the other's row with the same or the opposite heading, within 4 degrees, as cars
-    are parked; otherwise in any direction with a heading of its own. A row has the heading of its first object, so
-    `align` aligns rows as a whole. Upright boxes around the objects do not intersect, but the objects may hide each
-    other in the picture."""
-    behind: float = Field(0.0, ge=0, le=1)
-    """With `in_row`: how often an object that begins a row tries a place behind or before the other, as along a kerb,
-    instead of beside it."""
-    behind_m: range_of(0.1, 100) = (5.5, 9.0)  # type: ignore[valid-type]
-    """Distance between the centres of two objects of a row that stand behind one another, metres."""
+    """Place the object at the other's side with the same or the opposite heading, within 4 degrees, as cars are parked;
+    otherwise in any direction with a heading of its own. A row has the heading of its first object, so `align` aligns
+    rows as a whole. Upright boxes around the objects do not intersect, but the objects may hide each other in the
+    picture."""
     max_overlap: float = Field(0.3, ge=0, le=1)
     """Largest share of the smaller of two boxes that an object placed beside another may share with an insert. Others
     share at most 0.02."""

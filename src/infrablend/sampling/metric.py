@@ -47,7 +47,6 @@ from infrablend.sampling.placement import (
 )
 from infrablend.sampling.placer import Arrangement, Placer, Streams
 from infrablend.sampling.real_ground import draw_aim, ground_around
-from infrablend.sampling.rows import end_of_row, goes_on_behind
 from infrablend.sampling.site import Hiding, Site
 from infrablend.sampling.suitable_ground import SuitableGround, plants_of, suitable_ground
 
@@ -393,28 +392,17 @@ class _Search:
         group = kind.group
         assert group is not None
         mate = mates[int(rng.integers(len(mates)))]
+        x, y, z, mate_yaw = mate
         away = float(rng.uniform(*group.apart_m))
         turn = float(rng.random())
         heading = float(rng.random())
         if group.in_row:
-            back = math.pi if rng.random() < 0.5 else 0.0
-            begins_behind = rng.random() < group.behind
-            behind = goes_on_behind(mate, mates, group)
-            if begins_behind if behind is None else behind:
-                away = float(rng.uniform(*group.behind_m))
-                reach_m = group.behind_m[1]
-                towards = mate[3]
-            else:
-                reach_m = group.apart_m[1]
-                towards = mate[3] + math.pi / 2
-            towards += 0.0 if turn < 0.5 else math.pi
-            mate = end_of_row(mate, mates, towards, reach_m)
-            yaw = mate[3] + math.radians(_ROW_TURN_DEG) * (2 * heading - 1) + back
+            yaw = mate_yaw + math.radians(_ROW_TURN_DEG) * (2 * heading - 1) + (math.pi if rng.random() < 0.5 else 0.0)
+            towards = mate_yaw + (math.pi / 2 if turn < 0.5 else -math.pi / 2)
         else:
             low, high = (math.radians(d) for d in kind.yaw_deg)
-            yaw = self._aligned(low + (high - low) * heading, item, mate[:2])
+            yaw = self._aligned(low + (high - low) * heading, item, (x, y))
             towards = 2 * math.pi * turn
-        x, y, z, _ = mate
         pose = x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
         suitable = self._suitable_ground(item)
         return pose if suitable is None or suitable.carries(self._camera, item, pose, mate) else "unfit_ground"
