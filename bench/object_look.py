@@ -155,9 +155,9 @@ def measure(
     }
     foot = picture[max(y1 - _FOOT_PX[0], (y0 + y1) // 2) : y1 + _FOOT_PX[1], x0 + dx : x1 - dx]
     facts["foot"] = float(np.median(foot.max(axis=0))) - ground
+    blurred = {sigma: cv2.GaussianBlur(picture, (0, 0), sigma)[y0:y1, x0:x1] for sigma in BAND_SIGMAS_PX}
     for fine, coarse in pairwise(BAND_SIGMAS_PX):
-        of_band = cv2.GaussianBlur(picture, (0, 0), fine) - cv2.GaussianBlur(picture, (0, 0), coarse)
-        facts[f"band {fine:g}-{coarse:g} px"] = float(of_band[y0:y1, x0:x1].std())
+        facts[f"band {fine:g}-{coarse:g} px"] = float((blurred[fine] - blurred[coarse]).std())
     level = float(np.median(far))
     for near, outer in pairwise(BANDS_M):
         band = picture[free & (away > near) & (away <= outer)]
